@@ -1,0 +1,1 @@
+"""The product: command line, configuration, and the run from map to cleaned map."""

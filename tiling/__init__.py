@@ -1,0 +1,4 @@
+"""Maps on disk: streaming readers and writers of every format.
+
+This package knows nothing of the method, nor of Dask.
+"""

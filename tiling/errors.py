@@ -1,0 +1,41 @@
+"""The errors of maps on disk: one base class, flat subclasses, messages of one line."""
+
+from pathlib import Path
+
+
+class TilingError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class MapFormatError(TilingError):
+    """A file is not what its format demands.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    expected : str
+        What the format demands there.
+    found : str
+        What the file holds instead.
+    at : str, optional
+        Where, for example `"byte 227"` or `"line 11"`.
+    """
+
+    def __init__(self, path: Path, expected: str, found: str, at: str | None = None) -> None:
+        self.path = path
+        self.expected = expected
+        self.found = found
+        self.at = at
+        place = f" at {at}" if at else ""
+        # A header may hold anything at all: the message stays one line and printable.
+        message = f"{path}: expected {expected}, found {found}{place}"
+        super().__init__("".join(c if c.isprintable() else "?" for c in message))
+
+
+class UnknownFormatError(MapFormatError):
+    """No reader knows the file's kind."""
+
+
+class PointCountError(TilingError):
+    """A writer was given more or fewer points than it was opened for."""

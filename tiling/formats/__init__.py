@@ -1,0 +1,66 @@
+"""Formats as plug-ins: each module reads and writes one family of files.
+
+`open_map` picks the one that knows the file's suffix.
+"""
+
+from importlib import import_module
+from pathlib import Path
+
+from tiling.errors import MapFormatError, UnknownFormatError
+from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
+
+__all__ = [
+    "MAP_SUFFIXES",
+    "Field",
+    "MapDescription",
+    "MapReader",
+    "MapWriter",
+    "PointBatch",
+    "open_map",
+]
+
+# Modules are imported when a file of theirs is opened: each brings a library that others need not.
+_READERS = {
+    ".pcd": ("tiling.formats.pcd", "PcdReader"),
+    ".las": ("tiling.formats.las", "LasReader"),
+    ".laz": ("tiling.formats.las", "LasReader"),
+    ".ply": ("tiling.formats.ply", "PlyReader"),
+    ".parquet": ("tiling.formats.parquet", "ParquetReader"),
+    ".npy": ("tiling.formats.npy", "NpyReader"),
+    ".npz": ("tiling.formats.npz", "NpzReader"),
+}
+
+MAP_SUFFIXES = tuple(_READERS)
+"""File name suffixes of the maps that can be read, in lower case."""
+
+
+def open_map(path: Path) -> MapReader:
+    """Open a map for reading: its header is read and checked, no point is.
+
+    Parameters
+    ----------
+    path : Path
+        A file with one of the suffixes in `MAP_SUFFIXES`, in upper or lower case.
+
+    Returns
+    -------
+    MapReader
+
+    Raises
+    ------
+    UnknownFormatError
+        When the suffix is not known.
+    MapFormatError
+        When there is no such file, or it is not what its suffix says.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _READERS:
+        known = ", ".join(MAP_SUFFIXES)
+        raise UnknownFormatError(path, f"a map ({known})", f"suffix {path.suffix or 'none'!r}")
+    if not path.exists():
+        raise MapFormatError(path, "a map file", "no such file")
+    if not path.is_file():
+        raise MapFormatError(path, "a map file", "something that is not a file")
+    module, name = _READERS[path.suffix.lower()]
+    reader: type[MapReader] = getattr(import_module(module), name)
+    return reader(path)  # type: ignore[call-arg]

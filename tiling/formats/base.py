@@ -1,0 +1,181 @@
+"""What every format offers: a description, a stream of batches, and a writer of its own kind.
+
+A reader never turns a point into anything but its coordinates. The rest of the point travels in
+`PointBatch.records`, exactly as the file stores it (a structured array, raw records, lines of
+text), and goes back to a writer of the same kind untouched. That is how every field reaches the
+output bit for bit.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import PointCountError
+
+DEFAULT_BATCH = 500_000
+"""Points in a batch when the caller does not say."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of every point.
+
+    Attributes
+    ----------
+    name : str
+        As the file names it.
+    dtype : str
+        NumPy's name of the type, such as `"float32"`; for a field with no such type, the file's.
+    count : int
+        Values per point.
+    """
+
+    name: str
+    dtype: str
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class MapDescription:
+    """What a map file says of itself, before any point is read.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    format : str
+        Kind and variant for people, such as `"PCD binary_compressed"` or
+        `"LAZ 1.4, point format 6"`.
+    suffix : str
+        File name suffix of a map written like this one, with the dot (`".laz"` for COPC).
+    point_count : int
+        Points in the file.
+    fields : tuple of Field
+        Every field, in the file's order.
+    crs : str or None
+        The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
+    has_classification : bool
+        Whether the batches carry ASPRS classes.
+    notes : tuple of str
+        What an output of this kind cannot carry over, one plain sentence each.
+    """
+
+    path: Path
+    format: str
+    suffix: str
+    point_count: int
+    fields: tuple[Field, ...]
+    crs: str | None = None
+    has_classification: bool = False
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class PointBatch:
+    """Some consecutive points of a map.
+
+    Attributes
+    ----------
+    first_row : int
+        Row number, in the file, of the first point.
+    xyz : (n, 3) float64 array
+        Coordinates, in the map's units; NaN or infinite where the file has none.
+    records : (n,) or (n, size) array
+        The points as the format stores them: opaque, to be selected by a mask and given to a
+        writer made by the same reader.
+    classification : (n,) uint8 array or None
+        ASPRS classes (LAS), where the format has them.
+    """
+
+    first_row: int
+    xyz: NDArray[np.float64]
+    records: NDArray[Any]
+    classification: NDArray[np.uint8] | None = None
+
+
+class MapWriter(ABC):
+    """Writes a map of a known number of points, as a stream.
+
+    A context manager: leaving it without an error finishes the file, and refuses one that holds
+    another number of points than promised.
+    """
+
+    def __init__(self, path: Path, point_count: int) -> None:
+        self.path = path
+        self.point_count = point_count
+        self.written = 0
+
+    def write(self, records: NDArray[Any]) -> None:
+        """Append points, as the reader's batches hold them."""
+        self.written += len(records)
+        if self.written > self.point_count:
+            raise PointCountError(
+                f"{self.path}: opened for {self.point_count} points, given {self.written}"
+            )
+        if len(records):
+            self._append(records)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind is not None:
+            self._abandon()
+            return
+        if self.written != self.point_count:
+            self._abandon()
+            raise PointCountError(
+                f"{self.path}: opened for {self.point_count} points, given {self.written}"
+            )
+        self._finish()
+
+    @abstractmethod
+    def _append(self, records: NDArray[Any]) -> None:
+        """Write at least one point."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Write what follows the points, and close the file."""
+
+    @abstractmethod
+    def _abandon(self) -> None:
+        """Close what is open, and leave the half-written file to the caller."""
+
+
+class MapReader(ABC):
+    """Reads one map file as a stream, and makes writers of maps like it.
+
+    Making one reads and checks the header only; it holds no file open.
+
+    Raises
+    ------
+    MapFormatError
+        When the file is not what its format demands.
+    """
+
+    description: MapDescription
+
+    @abstractmethod
+    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
+        """Yield every point, in the file's order, at most `max_points` at a time.
+
+        Raises
+        ------
+        MapFormatError
+            When the points are not what the header announced.
+        """
+
+    @abstractmethod
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of a map of `point_count` points in this map's format, header and all."""
