@@ -86,17 +86,21 @@ class PointBatch:
         Row number, in the file, of the first point.
     xyz : (n, 3) float64 array
         Coordinates, in the map's units; NaN or infinite where the file has none.
-    records : (n,) or (n, size) array
-        The points as the format stores them: opaque, to be selected by a mask and given to a
-        writer made by the same reader.
+    records : opaque
+        The points as the format stores them, usually an array: to be selected by `select` and
+        given to a writer made by the same reader.
     classification : (n,) uint8 array or None
         ASPRS classes (LAS), where the format has them.
     """
 
     first_row: int
     xyz: NDArray[np.float64]
-    records: NDArray[Any]
+    records: Any
     classification: NDArray[np.uint8] | None = None
+
+    def select(self, chosen: NDArray[np.bool_]) -> Any:
+        """Return the records of the points where `chosen` is true, in order."""
+        return self.records[chosen]
 
 
 class MapWriter(ABC):
@@ -111,7 +115,7 @@ class MapWriter(ABC):
         self.point_count = point_count
         self.written = 0
 
-    def write(self, records: NDArray[Any]) -> None:
+    def write(self, records: Any) -> None:
         """Append points, as the reader's batches hold them."""
         self.written += len(records)
         if self.written > self.point_count:
@@ -141,7 +145,7 @@ class MapWriter(ABC):
         self._finish()
 
     @abstractmethod
-    def _append(self, records: NDArray[Any]) -> None:
+    def _append(self, records: Any) -> None:
         """Write at least one point."""
 
     @abstractmethod
