@@ -1,0 +1,14 @@
+"""Fixtures that every package's tests share."""
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real point clouds beside the project, which is not part of it."""
+    folder = Path(__file__).resolve().parents[1] / "../shared/data"
+    if not folder.is_dir():
+        pytest.skip("../shared/data is absent")
+    return folder

@@ -1,0 +1,20 @@
+"""Loops over single bytes, compiled by Numba: text and compressed data leave no other way."""
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function on its first call, and keep the machine code for later processes.
+
+    The code is kept beside the module or in the user's cache. Where neither can be written to
+    (an installed container image run by a user with no home), each process compiles anew.
+    """
+    try:
+        return cast(Function, njit(cache=True, nogil=True)(function))
+    except RuntimeError:
+        return cast(Function, njit(nogil=True)(function))

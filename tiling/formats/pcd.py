@@ -1,0 +1,274 @@
+"""PCD, the format of the Point Cloud Library: ascii, binary and binary_compressed.
+
+A point's record is never taken apart: in the binary encodings it is a run of bytes, in ascii a
+line of text. Only x, y and z are read from it. Ascii coordinates are the float64 nearest to the
+text, also where the header says float32, so that what is computed is what the file says; integers
+beyond 2**53 are the only coordinates that float64 does not hold exactly.
+
+All encodings are streamed. A binary_compressed file, one LZF stream over whole columns, is
+decompressed to, and compressed from, a temporary file of the size of its points.
+"""
+
+import struct
+from abc import abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats import lzf
+from tiling.formats.base import DEFAULT_BATCH, MapDescription, MapReader, MapWriter, PointBatch
+from tiling.formats.column_spool import ColumnSpool
+from tiling.formats.pcd_header import PcdField, PcdHeader, read_header
+from tiling.formats.text_rows import RowLayout, read_rows
+
+_SIZES = struct.Struct("<II")
+"""What precedes compressed data: their size, and that of the columns."""
+
+
+class PcdReader(MapReader):
+    """Reads a PCD file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    MapFormatError
+        When the header is not one of a PCD file with x, y and z, or promises more than the file
+        can hold.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = Path(path)
+        with self._path.open("rb") as stream:
+            self._header = read_header(stream, self._path)
+            size = self._path.stat().st_size - self._header.data_offset
+            self._stored = self._header.fields
+            if self._header.encoding == "binary_compressed":
+                self._packed_size, self._stored = self._check_compressed(stream, size)
+            else:
+                self._check_size(size)
+        notes: tuple[str, ...] = ()
+        if self._header.height > 1:
+            shape = f"{self._header.width} x {self._header.height}"
+            notes = (f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1.",)
+        self.description = MapDescription(
+            path=self._path,
+            format=f"PCD {self._header.encoding}",
+            suffix=".pcd",
+            point_count=self._header.point_count,
+            fields=self._header.described_fields(),
+            notes=notes,
+        )
+
+    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
+        """Yield every point, in the file's order, at most `max_points` at a time."""
+        if self._header.encoding == "ascii":
+            return self._ascii_batches(max_points)
+        if self._header.encoding == "binary":
+            return self._binary_batches(max_points)
+        return self._compressed_batches(max_points)
+
+    def writer(self, path: Path, point_count: int) -> "PcdWriter":
+        """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
+        if self._header.encoding == "ascii":
+            return PcdAsciiWriter(path, point_count, self._header)
+        if self._header.encoding == "binary":
+            return PcdBinaryWriter(path, point_count, self._header)
+        widths = tuple(field.width for field in self._stored)
+        return PcdCompressedWriter(path, point_count, self._header, widths)
+
+    def _check_size(self, size: int) -> None:
+        """Compare the points announced with the bytes that follow the header."""
+        header = self._header
+        least = header.point_count * header.record_size
+        if header.encoding == "ascii" and header.point_count:
+            # Every value has a digit and something after it, save the last one.
+            least = header.point_count * header.value_count * 2 - 1
+        if least > size:
+            raise MapFormatError(
+                self._path,
+                f"at least {least} bytes for {header.point_count} points",
+                str(size),
+                f"byte {header.data_offset}",
+            )
+
+    def _check_compressed(self, stream: BinaryIO, size: int) -> tuple[int, tuple[PcdField, ...]]:
+        """Return the size of the compressed data, and the fields that are in them.
+
+        PCL leaves padding fields (`_`) out of the data, and others do not: the size tells.
+        """
+        header = self._header
+        at = f"byte {header.data_offset}"
+        if header.point_count == 0:
+            return 0, header.fields
+        sizes = stream.read(_SIZES.size)
+        if len(sizes) < _SIZES.size:
+            raise MapFormatError(self._path, "the sizes of compressed data", "the file's end", at)
+        packed_size, column_size = _SIZES.unpack(sizes)
+        if packed_size > size - _SIZES.size:
+            expected = f"{packed_size} compressed bytes"
+            raise MapFormatError(self._path, expected, str(size - _SIZES.size), at)
+        named = tuple(field for field in header.fields if field.name != "_")
+        for fields in (header.fields, named):
+            if column_size == header.point_count * sum(field.width for field in fields):
+                break
+        else:
+            expected = f"{header.point_count * header.record_size} uncompressed bytes"
+            raise MapFormatError(self._path, expected, str(column_size), at)
+        if column_size > packed_size * lzf.EXPANSION:
+            expected = f"compressed data for {column_size} bytes"
+            raise MapFormatError(self._path, expected, f"only {packed_size} bytes", at)
+        return packed_size, fields
+
+    def _ascii_batches(self, max_points: int) -> Iterator[PointBatch]:
+        header = self._header
+        x, y, z = (header.first_value(field) for field in header.coordinates)
+        layout = RowLayout(header.value_count, (x, y, z))
+        first_row = 0
+        with self._path.open("rb") as stream:
+            stream.seek(header.data_offset)
+            first_line = len(header.lines) + 1
+            for rows, xyz in read_rows(
+                stream, layout, header.point_count, max_points, self._path, first_line
+            ):
+                yield PointBatch(first_row, xyz, rows)
+                first_row += len(rows)
+
+    def _binary_batches(self, max_points: int) -> Iterator[PointBatch]:
+        header = self._header
+        with self._path.open("rb") as stream:
+            stream.seek(header.data_offset)
+            for first_row in range(0, header.point_count, max_points):
+                count = min(max_points, header.point_count - first_row)
+                data = stream.read(count * header.record_size)
+                if len(data) < count * header.record_size:
+                    raise MapFormatError(
+                        self._path,
+                        f"{header.point_count} points",
+                        "the end of the file",
+                        f"byte {stream.tell()}",
+                    )
+                records = np.frombuffer(data, dtype=f"V{header.record_size}")
+                yield self._batch(first_row, records)
+
+    def _compressed_batches(self, max_points: int) -> Iterator[PointBatch]:
+        count = self._header.point_count
+        widths = tuple(field.width for field in self._stored)
+        if count == 0:
+            return
+        with self._path.open("rb") as stream, ColumnSpool(widths, count) as spool:
+            stream.seek(self._header.data_offset + _SIZES.size)
+            for block in lzf.decompress(stream, self._packed_size, count * sum(widths), self._path):
+                spool.append(block)
+            for first_row in range(0, count, max_points):
+                yield self._batch(
+                    first_row, spool.read_points(first_row, min(max_points, count - first_row))
+                )
+
+    def _batch(self, first_row: int, records: NDArray[np.void]) -> PointBatch:
+        """Make a batch of binary records."""
+        rows = records.view(np.uint8).reshape(len(records), -1)
+        xyz = np.empty((len(records), 3), dtype=np.float64)
+        for axis, field in enumerate(self._header.coordinates):
+            start = sum(other.width for other in self._stored if other.offset < field.offset)
+            values = np.ascontiguousarray(rows[:, start : start + field.size])
+            # A signalling NaN is no reason to warn.
+            with np.errstate(invalid="ignore"):
+                xyz[:, axis] = values.view(np.dtype(field.dtype).newbyteorder("<"))[:, 0]
+        return PointBatch(first_row, xyz, records)
+
+
+class PcdWriter(MapWriter):
+    """Writes a PCD file after the model of another.
+
+    Parameters
+    ----------
+    path : Path
+    point_count : int
+        Points that it will hold.
+    header : PcdHeader
+        Of the file that serves as the model.
+    """
+
+    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
+        super().__init__(path, point_count)
+        self._stream = Path(path).open("wb")  # noqa: SIM115 - closed by `_finish` and `_abandon`
+        self._stream.write(header.for_points(point_count))
+
+    @abstractmethod
+    def _append(self, records: Any) -> None: ...
+
+    def _finish(self) -> None:
+        self._stream.close()
+
+    def _abandon(self) -> None:
+        self._stream.close()
+
+
+class PcdAsciiWriter(PcdWriter):
+    """Writes rows as they stood in the file they come from."""
+
+    _ended = True
+
+    def _append(self, records: Any) -> None:
+        text = records.tobytes()
+        if not self._ended:
+            self._stream.write(b"\n")
+        self._stream.write(text)
+        # The last row of a file may have no line ending.
+        self._ended = text.endswith(b"\n")
+
+
+class PcdBinaryWriter(PcdWriter):
+    """Writes records one after the other."""
+
+    def _append(self, records: Any) -> None:
+        self._stream.write(records.tobytes())
+
+
+class PcdCompressedWriter(PcdWriter):
+    """Collects columns in a temporary file, and compresses them in the end.
+
+    Parameters
+    ----------
+    path, point_count, header
+        As for `PcdWriter`.
+    widths : tuple of int
+        Bytes that each column takes in a record.
+    """
+
+    def __init__(
+        self, path: Path, point_count: int, header: PcdHeader, widths: tuple[int, ...]
+    ) -> None:
+        super().__init__(path, point_count, header)
+        self._column_size = point_count * sum(widths)
+        self._spool = ColumnSpool(widths, point_count)
+        self._stored = 0
+
+    def _append(self, records: Any) -> None:
+        self._spool.write_points(self._stored, records)
+        self._stored += len(records)
+
+    def _finish(self) -> None:
+        with self._stream, self._spool:
+            sizes_at = self._stream.tell()
+            self._stream.write(_SIZES.pack(0, 0))
+            packed_size = 0
+            for block in self._spool.blocks():
+                packed_size += self._stream.write(lzf.compress(block))
+            if packed_size >= 1 << 32:
+                raise MapFormatError(
+                    self.path, "compressed data below 4 GiB", f"{packed_size} bytes"
+                )
+            self._stream.seek(sizes_at)
+            self._stream.write(_SIZES.pack(packed_size, self._column_size))
+
+    def _abandon(self) -> None:
+        self._spool.close()
+        super()._abandon()
