@@ -39,3 +39,21 @@ class UnknownFormatError(MapFormatError):
 
 class PointCountError(TilingError):
     """A writer was given more or fewer points than it was opened for."""
+
+
+class NoMapError(TilingError):
+    """The files, folders or patterns given name no map.
+
+    Parameters
+    ----------
+    argument : str
+        What was given.
+    found : str
+        What it names instead.
+    """
+
+    def __init__(self, argument: str, found: str) -> None:
+        self.argument = argument
+        self.found = found
+        message = f"{argument}: expected a map, a folder of maps or a pattern, found {found}"
+        super().__init__("".join(c if c.isprintable() else "?" for c in message))

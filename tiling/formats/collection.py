@@ -1,0 +1,166 @@
+"""Several files that are one map: finding them, and reading them as one stream."""
+
+import glob
+import hashlib
+import re
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
+from pathlib import Path
+
+from tiling.errors import NoMapError
+from tiling.formats import MAP_SUFFIXES, open_map
+from tiling.formats.base import DEFAULT_BATCH, MapReader, PointBatch
+
+_HASH_BLOCK = 1 << 20
+
+
+def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
+    """Find the files that the arguments name.
+
+    Parameters
+    ----------
+    arguments : sequence of Path or str
+        Each is a file; or a folder, which means the maps directly in it; or a pattern
+        (`*`, `?`, `[...]`, and `**` for folders at any depth), which means the maps it matches.
+        What exists by that very name is never taken for a pattern. A file named outright is
+        returned whatever its suffix; in folders and patterns, hidden files and those without a
+        suffix of `MAP_SUFFIXES` are passed over.
+
+    Returns
+    -------
+    tuple of Path
+        Each file once, in the order of the arguments, and within a folder or pattern by name
+        with numbers in order of value (`cell_2` before `cell_10`).
+
+    Raises
+    ------
+    NoMapError
+        When an argument names no map, or there are no arguments.
+    """
+    if not arguments:
+        raise NoMapError("no argument", "none")
+    found: dict[Path, Path] = {}
+    for argument in arguments:
+        for path in _files_of(argument):
+            found.setdefault(path.resolve(), path)
+    return tuple(found.values())
+
+
+def content_hash(paths: Sequence[Path]) -> str:
+    """Hash the bytes of files, one after the other, in one digest.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files, whose names do not matter but whose order and sizes do.
+
+    Returns
+    -------
+    str
+        SHA-256 in hexadecimal; for a single file, the one that `sha256sum` prints.
+    """
+    digest = hashlib.sha256()
+    for number, path in enumerate(paths):
+        if number:
+            # Without the size, moving bytes from one file to the next would go unseen.
+            digest.update(b"\0next file, %d bytes\0" % path.stat().st_size)
+        with path.open("rb") as file:
+            while block := file.read(_HASH_BLOCK):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+class MapCollection:
+    """Files that together are one map, whose points are numbered on from file to file.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files, as `find_map_files` gives them. Every header is read and checked.
+
+    Attributes
+    ----------
+    readers : tuple of MapReader
+        One for each file.
+    first_rows : tuple of int
+        For each file, the row number in the whole map of its first point.
+    point_count : int
+        Points in all files.
+
+    Raises
+    ------
+    NoMapError
+        When there are no files.
+    MapFormatError
+        When a file is not a map that can be read.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        if not paths:
+            raise NoMapError("no argument", "none")
+        self.readers: tuple[MapReader, ...] = tuple(open_map(path) for path in paths)
+        counts = [reader.description.point_count for reader in self.readers]
+        *first_rows, self.point_count = accumulate(counts, initial=0)
+        self.first_rows: tuple[int, ...] = tuple(first_rows)
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files."""
+        return tuple(reader.description.path for reader in self.readers)
+
+    @property
+    def has_classification(self) -> bool:
+        """Whether every file carries ASPRS classes."""
+        return all(reader.description.has_classification for reader in self.readers)
+
+    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[tuple[int, PointBatch]]:
+        """Yield every point of the map, at most `max_points` at a time.
+
+        Yields
+        ------
+        file : int
+            Index into `readers` of the file that the batch comes from; no batch spans two.
+        batch : PointBatch
+            Its `first_row` counts from the first point of the whole map.
+
+        Raises
+        ------
+        MapFormatError
+            When the points of a file are not what its header announced.
+        """
+        for file, (reader, first_row) in enumerate(zip(self.readers, self.first_rows, strict=True)):
+            for batch in reader.batches(max_points):
+                batch.first_row += first_row
+                yield file, batch
+
+
+def _files_of(argument: Path | str) -> list[Path]:
+    """Return the maps that one argument names, in order."""
+    path = Path(argument)
+    if path.is_dir():
+        candidates = list(path.iterdir())
+        place = "a folder"
+    elif path.exists() or not glob.has_magic(str(argument)):
+        if not path.exists():
+            raise NoMapError(str(argument), "no such file or folder")
+        return [path]
+    else:
+        # Path.glob takes no absolute patterns.
+        matches = glob.glob(str(argument), recursive=True)  # noqa: PTH207
+        candidates = [Path(match) for match in matches]
+        place = "a pattern"
+    files = [each for each in candidates if each.is_file() and not each.name.startswith(".")]
+    maps = [each for each in files if each.suffix.lower() in MAP_SUFFIXES]
+    if not maps:
+        others = f"{len(files)} other files" if files else "no files"
+        raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")
+    return sorted(maps, key=_natural_order)
+
+
+def _natural_order(path: Path) -> tuple[list[list[tuple[str, int]]], str]:
+    """Order by folder and name, digits by the number they make."""
+    parts = []
+    for part in path.parts:
+        pieces = re.findall(r"(\D*)(\d*)", part)
+        parts.append([(text.lower(), int(digits or -1)) for text, digits in pieces])
+    return parts, str(path)

@@ -1,0 +1,96 @@
+"""NumPy maps in one .npy file: an (N, 3 or more) array, or one with fields x, y and z."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import (
+    DEFAULT_BATCH,
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+)
+from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
+
+_COLUMNS = ("x", "y", "z")
+
+
+class NpyReader(MapReader):
+    """Reads an array as points: its first three columns, or its fields x, y and z.
+
+    Type, byte order, the order of the elements, and further columns or fields are kept. Arrays of
+    Python objects are refused: nothing is ever unpickled.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When it is not such an array, or the file is too small for it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            header = read_array_header(file, path)
+        if not header.is_coordinates:
+            expected = "an (N, 3 or more) array of real numbers, or one with fields x, y and z"
+            raise MapFormatError(path, expected, str(header), at="the header")
+        size = path.stat().st_size - header.size
+        if size < header.data_bytes:
+            expected = f"{header.data_bytes} bytes of values ({header})"
+            raise MapFormatError(path, expected, f"{size} bytes", at=f"byte {header.size}")
+        self._header = header
+        order = "Fortran order" if header.column_count > 1 else "C order"
+        surplus = size - header.data_bytes
+        self.description = MapDescription(
+            path=path,
+            format=f"NumPy npy {header.version}.0, {order}",
+            suffix=".npy",
+            point_count=header.row_count,
+            fields=array_fields(header),
+            notes=(f"The {surplus} bytes after the array are left out.",) if surplus else (),
+        )
+
+    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
+        """Yield every point; see `MapReader.batches`."""
+        header = self._header
+        with self._path.open("rb") as file:
+            rows = RowReader([file] * header.column_count, header, self._path)
+            for first in range(0, header.row_count, max_points):
+                records = rows.read(min(max_points, header.row_count - first))
+                yield PointBatch(first, header.coordinates(records), records)
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of an array like this one; see `MapReader.writer`."""
+        return _NpyWriter(path, point_count, self._header)
+
+
+class _NpyWriter(MapWriter):
+    def __init__(self, path: Path, point_count: int, header: ArrayHeader) -> None:
+        super().__init__(path, point_count)
+        self._file = path.open("wb")
+        self._rows = RowWriter(self._file, header, point_count)
+
+    def _append(self, records: Any) -> None:
+        self._rows.write(records)
+
+    def _finish(self) -> None:
+        self._file.close()
+
+    def _abandon(self) -> None:
+        self._file.close()
+
+
+def array_fields(header: ArrayHeader) -> tuple[Field, ...]:
+    """Describe the fields of an array of points, whose columns have no names of their own."""
+    if header.dtype.names:
+        return header.fields("")
+    names = [*_COLUMNS, *(f"column {n}" for n in range(4, header.row_elements + 1))]
+    return tuple(Field(name, header.dtype.name) for name in names)

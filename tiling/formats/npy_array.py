@@ -1,0 +1,333 @@
+"""Arrays in NumPy's .npy form: the header, and rows read and written some at a time.
+
+The form is NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays": a magic string,
+a version, the length of a header, and the header, which is a Python dictionary in text. Nothing
+here ever unpickles.
+"""
+
+import ast
+import re
+import struct
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import prod
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import Field
+from tiling.formats.coordinates import coordinate_names
+from tiling.formats.signature import kind_of
+
+_MAGIC = b"\x93NUMPY"
+_ALIGNMENT = 64
+_LONGEST_HEADER = 10_000
+"""Characters of a header that are evaluated, as NumPy itself limits them."""
+_MOST_COLUMNS = 1024
+"""Columns of an array in Fortran order, which are read side by side."""
+_LONGEST_ROW = 1 << 24
+_COORDINATE_KINDS = "iuf"
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayHeader:
+    """What stands before the values of an array.
+
+    Attributes
+    ----------
+    description : object
+        The type as the header spells it.
+    dtype : numpy dtype
+        The same, understood.
+    fortran_order : bool
+        Whether the first index runs fastest.
+    shape : tuple of int
+        The first is the number of rows.
+    version : int
+        1, 2 or 3.
+    size : int
+        Bytes of the header itself.
+    """
+
+    description: Any
+    dtype: np.dtype
+    fortran_order: bool
+    shape: tuple[int, ...]
+    version: int
+    size: int
+
+    @property
+    def row_count(self) -> int:
+        """Length along the first index; 1 for an array with no index at all."""
+        return self.shape[0] if self.shape else 1
+
+    @property
+    def row_elements(self) -> int:
+        """Elements in a row."""
+        return prod(self.shape[1:])
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row."""
+        return self.row_elements * self.dtype.itemsize
+
+    @property
+    def data_bytes(self) -> int:
+        """Bytes of all values."""
+        return self.row_count * self.row_bytes
+
+    @property
+    def column_count(self) -> int:
+        """Runs of bytes that rows are spread over: 1, or an element each in Fortran order."""
+        return self.row_elements if self.fortran_order and len(self.shape) > 1 else 1
+
+    @property
+    def is_coordinates(self) -> bool:
+        """Whether it is an (N, 3 or more) array of numbers, or has fields x, y and z."""
+        if self.dtype.names:
+            names = coordinate_names(self.dtype.names)
+            return (
+                len(self.shape) == 1
+                and names is not None
+                and all(self.dtype[name].kind in _COORDINATE_KINDS for name in names)
+            )
+        return len(self.shape) == 2 and self.shape[1] >= 3 and self.dtype.kind in _COORDINATE_KINDS
+
+    @property
+    def is_column(self) -> bool:
+        """Whether it is an (N,) array of numbers."""
+        return len(self.shape) == 1 and self.dtype.kind in _COORDINATE_KINDS
+
+    def __str__(self) -> str:
+        return f"{self.dtype} of shape {self.shape}"
+
+    def fields(self, name: str) -> tuple[Field, ...]:
+        """Describe the array, called `name`, as fields of a point."""
+        if not self.dtype.names:
+            return (Field(name, self.dtype.name, self.row_elements),)
+        return tuple(
+            Field(each, self.dtype[each].base.name, prod(self.dtype[each].shape))
+            for each in self.dtype.names
+        )
+
+    def encode(self, row_count: int) -> bytes:
+        """Return the header of an array like this one, with `row_count` rows."""
+        text = repr(
+            {
+                "descr": self.description,
+                "fortran_order": self.fortran_order,
+                "shape": (row_count, *self.shape[1:]),
+            }
+        ).encode("utf-8" if self.version == 3 else "latin-1")
+        start = len(_MAGIC) + 2 + _length_form(self.version).size
+        padding = -(start + len(text) + 1) % _ALIGNMENT
+        text += b" " * padding + b"\n"
+        length = _length_form(self.version).pack(len(text))
+        return _MAGIC + bytes((self.version, 0)) + length + text
+
+    def coordinates(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
+        """Take the coordinates out of rows as `RowReader` gives them.
+
+        Parameters
+        ----------
+        rows : (n,) array of `row_bytes` wide void
+            Rows of an array that `is_coordinates`.
+
+        Returns
+        -------
+        (n, 3) float64 array
+        """
+        xyz = np.empty((len(rows), 3))
+        with np.errstate(all="ignore"):
+            if self.dtype.names:
+                points = rows.view(self.dtype)
+                for column, name in enumerate(coordinate_names(self.dtype.names) or ()):
+                    xyz[:, column] = points[name]
+            else:
+                xyz[:] = rows.view(self.dtype).reshape(-1, self.row_elements)[:, :3]
+        return xyz
+
+
+def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> ArrayHeader:
+    """Read the header that `stream` begins with, and leave it before the values.
+
+    Parameters
+    ----------
+    stream : binary file
+        At its first byte.
+    path : Path
+        The file, for messages.
+    name : str
+        What to call the array in messages.
+
+    Raises
+    ------
+    MapFormatError
+        When it is not the header of an array, or the array holds Python objects.
+    """
+    start = stream.read(len(_MAGIC) + 2)
+    if start[: len(_MAGIC)] != _MAGIC:
+        found = kind_of(start + stream.read(24))
+        raise MapFormatError(path, f"{name} in NumPy's .npy form", found, at="byte 0")
+    version = start[len(_MAGIC)] if len(start) == len(_MAGIC) + 2 else 0
+    if version not in (1, 2, 3) or start[-1] != 0:
+        found = ".".join(str(number) for number in start[len(_MAGIC) :]) or "none"
+        raise MapFormatError(path, f"{name} of .npy version 1.0, 2.0 or 3.0", found, at="byte 6")
+    form = _length_form(version)
+    packed = stream.read(form.size)
+    length = form.unpack(packed)[0] if len(packed) == form.size else 0
+    if not 0 < length <= _LONGEST_HEADER:
+        expected = f"a header of {name} with 1 to {_LONGEST_HEADER} bytes"
+        raise MapFormatError(path, expected, f"{length} bytes", at="byte 8")
+    text = stream.read(length)
+    place = f"byte {len(start) + form.size}"
+    if len(text) != length:
+        raise MapFormatError(path, f"{length} bytes of header of {name}", f"{len(text)}", at=place)
+    header = _understood(text, version, path, name, place)
+    if header.dtype.hasobject:
+        found = "Python objects, which only unpickling could read"
+        raise MapFormatError(path, f"{name} of plain values", found, at=place)
+    if header.row_bytes > _LONGEST_ROW:
+        expected = f"{name} with at most {_LONGEST_ROW} bytes a row"
+        raise MapFormatError(path, expected, f"{header.row_bytes}", at=place)
+    if header.column_count > _MOST_COLUMNS:
+        expected = f"{name} in Fortran order with at most {_MOST_COLUMNS} columns"
+        raise MapFormatError(path, expected, f"{header.column_count}", at=place)
+    return replace(header, size=len(start) + form.size + length)
+
+
+def _length_form(version: int) -> struct.Struct:
+    return struct.Struct("<H" if version == 1 else "<I")
+
+
+def _understood(text: bytes, version: int, path: Path, name: str, place: str) -> ArrayHeader:
+    """Evaluate the text of a header."""
+    expected = f"a header of {name} with descr, fortran_order and shape"
+    try:
+        words = text.decode("utf-8" if version == 3 else "latin-1")
+        if version == 1:
+            # Python 2 wrote its long integers as 12L.
+            words = re.sub(r"(\d)L(?=[,)])", r"\1", words)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            fields = ast.literal_eval(words.strip())
+            if not isinstance(fields, dict) or set(fields) != {"descr", "fortran_order", "shape"}:
+                raise ValueError
+            dtype = np.lib.format.descr_to_dtype(fields["descr"])
+    except Exception:  # evaluating foreign text fails in many ways
+        found = repr(text[:60].decode("latin-1"))
+        raise MapFormatError(path, expected, found, at=place) from None
+    order, shape = fields["fortran_order"], fields["shape"]
+    if (
+        not isinstance(order, bool)
+        or not isinstance(shape, tuple)
+        or not all(type(n) is int and 0 <= n < 1 << 62 for n in shape)
+        or len(shape) > 32
+    ):
+        found = repr(text[:60].decode("latin-1"))
+        raise MapFormatError(path, expected, found, at=place)
+    return ArrayHeader(fields["descr"], dtype, order, shape, version, size=0)
+
+
+class RowReader:
+    """Reads the rows of an array, some at a time.
+
+    Parameters
+    ----------
+    streams : sequence of binary files
+        One for each of `header.column_count`; the same one many times where it can jump about.
+    header : ArrayHeader
+    path : Path
+        The file, for messages.
+    name : str
+        What to call the array in messages.
+    """
+
+    def __init__(
+        self, streams: Sequence[BinaryIO], header: ArrayHeader, path: Path, name: str = "array"
+    ) -> None:
+        self._streams = streams
+        self._header = header
+        self._path = path
+        self._name = name
+        self._row = 0
+
+    def read(self, count: int) -> NDArray[np.void]:
+        """Read the next `count` rows.
+
+        Returns
+        -------
+        (count,) array of `header.row_bytes` wide void
+            In Fortran order, the elements of a row are gathered.
+
+        Raises
+        ------
+        MapFormatError
+            When the values end before.
+        """
+        header = self._header
+        columns = header.column_count
+        if not header.row_bytes:
+            return np.empty(count, dtype="V0")
+        width = header.row_bytes // columns
+        table = np.empty((count, columns), dtype=f"V{width}")
+        for column in range(columns):
+            start = header.size + (column * header.row_count + self._row) * width
+            stream = self._streams[column]
+            stream.seek(start)
+            content = stream.read(count * width)
+            if len(content) != count * width:
+                raise MapFormatError(
+                    self._path,
+                    f"{header.data_bytes} bytes of {self._name} ({header})",
+                    f"the end at byte {start + len(content)}",
+                    at=f"byte {start}",
+                )
+            table[:, column] = np.frombuffer(content, dtype=table.dtype)
+        self._row += count
+        return table.view(f"V{header.row_bytes}").reshape(count)
+
+    def finish(self) -> None:
+        """Read on past the last row, upon which an archive compares its checksum."""
+        if self._streams:
+            self._streams[-1].read(1)
+
+
+class RowWriter:
+    """Writes an array of a known number of rows, some at a time.
+
+    Parameters
+    ----------
+    file : binary file
+        Empty, and able to seek where the array is in Fortran order.
+    header : ArrayHeader
+        Of the array to be like.
+    row_count : int
+        Rows that will be written.
+    """
+
+    def __init__(self, file: BinaryIO, header: ArrayHeader, row_count: int) -> None:
+        self._file = file
+        self._header = header
+        self._row_count = row_count
+        self._row = 0
+        self._start = file.write(header.encode(row_count))
+
+    def write(self, rows: NDArray[np.void]) -> None:
+        """Append rows, as `RowReader.read` gives them."""
+        columns = self._header.column_count
+        if not self._header.row_bytes:
+            return
+        if columns == 1:
+            self._file.write(rows.tobytes())
+            return
+        width = self._header.row_bytes // columns
+        table = rows.view(f"V{width}").reshape(-1, columns)
+        for column in range(columns):
+            self._file.seek(self._start + (column * self._row_count + self._row) * width)
+            self._file.write(table[:, column].tobytes())
+        self._row += len(rows)

@@ -1,0 +1,192 @@
+"""PLY maps: ASCII and binary of both byte orders, with any properties and further elements."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import (
+    DEFAULT_BATCH,
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+)
+from tiling.formats.coordinates import coordinate_names
+from tiling.formats.ply_header import VERTEX, PlyHeader, PlyProperty, read_header
+from tiling.formats.ply_rows import open_rows
+
+_BLOCK = 1 << 20
+
+
+class PlyReader(MapReader):
+    """Reads the vertices of a PLY file as points.
+
+    Rows of an ASCII file stay text and records of a binary file stay in its byte order, so no
+    digit changes. Elements beside the vertices go to the output as they are, apart from those
+    that mean vertices by number (faces, edges): these lose their sense with the first point
+    removed and are left out, which the description's notes say.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When the header is not one of a PLY map, or the file too small for what it announces.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            self._header = read_header(file, path)
+        self._spans: dict[str, tuple[int, int]] | None = None
+        vertex = self._header.vertex
+        names = coordinate_names([each.name for each in vertex.scalars])
+        if names is None:
+            found = ", ".join(each.name for each in vertex.properties) or "none"
+            raise MapFormatError(path, "vertex properties x, y and z", found, at="the header")
+        self._names = names
+        self._check_size()
+        self.description = MapDescription(
+            path=path,
+            format=f"PLY {self._header.encoding} 1.0",
+            suffix=".ply",
+            point_count=vertex.count,
+            fields=tuple(_field(each) for each in vertex.properties),
+            notes=tuple(
+                f"The {e.count} records of element {e.name!r} mean vertices by their number "
+                f"and are left out."
+                for e in self._header.dropped
+            ),
+        )
+
+    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
+        """Yield every point; see `MapReader.batches`."""
+        spans: dict[str, tuple[int, int]] = {}
+        with self._path.open("rb") as file:
+            rows = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                start = rows.position
+                if element.name != VERTEX:
+                    # The elements after the last vertex need checking only once.
+                    if VERTEX not in spans or self._spans is None:
+                        rows.skip(element)
+                else:
+                    first = 0
+                    while first < element.count:
+                        most = min(max_points, element.count - first)
+                        records, xyz = rows.take(element, most, self._names)
+                        yield PointBatch(first, xyz, records)
+                        first += len(records)
+                spans[element.name] = (start, rows.position)
+        if self._spans is None:
+            self._spans = spans
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of a PLY file like this one; see `MapReader.writer`."""
+        return _PlyWriter(path, point_count, self._path, self._header, self._kept_spans())
+
+    def _check_size(self) -> None:
+        """Compare the counts of the header with the size of the file."""
+        header = self._header
+        size = self._path.stat().st_size
+        if header.encoding == "ascii":
+            # A digit and a blank or line end for each number; the last line may lack its end.
+            needed = max(sum(2 * len(e.properties) * e.count for e in header.elements) - 1, 0)
+        else:
+            needed = sum(e.least_bytes * e.count for e in header.elements)
+        if size - header.size < needed:
+            counts = ", ".join(f"{e.count} {e.name}" for e in header.elements)
+            raise MapFormatError(
+                self._path,
+                f"at least {needed} bytes after the header for its elements ({counts})",
+                f"{size - header.size} bytes",
+                at=f"byte {header.size}",
+            )
+
+    def _kept_spans(self) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        """Return the byte ranges to copy before and after the vertices."""
+        header = self._header
+        others = [e for e in header.elements if e.name != VERTEX]
+        kept = [e for e in others if e.count and e not in header.dropped]
+        if not kept:
+            return [], []
+        if self._spans is None:
+            self._spans = self._find_spans()
+        vertex_start = self._spans[VERTEX][0]
+        spans = [self._spans[element.name] for element in kept]
+        return (
+            [span for span in spans if span[0] < vertex_start],
+            [span for span in spans if span[0] >= vertex_start],
+        )
+
+    def _find_spans(self) -> dict[str, tuple[int, int]]:
+        spans = {}
+        with self._path.open("rb") as file:
+            rows = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                start = rows.position
+                rows.skip(element)
+                spans[element.name] = (start, rows.position)
+        return spans
+
+
+class _PlyWriter(MapWriter):
+    """Writes vertices under the header of the source, and copies its other elements."""
+
+    def __init__(
+        self,
+        path: Path,
+        point_count: int,
+        source: Path,
+        header: PlyHeader,
+        kept: tuple[list[tuple[int, int]], list[tuple[int, int]]],
+    ) -> None:
+        super().__init__(path, point_count)
+        self._source = source
+        self._header = header
+        before, self._after = kept
+        self._file = path.open("wb")
+        self._file.write(header.encode(point_count))
+        self._copy(before)
+
+    def _append(self, records: Any) -> None:
+        if self._header.encoding == "ascii":
+            end = self._header.line_end
+            self._file.write(end.join(records) + end)
+        elif self._header.vertex.is_fixed:
+            self._file.write(records.tobytes())
+        else:
+            self._file.write(b"".join(records))
+
+    def _finish(self) -> None:
+        self._copy(self._after)
+        self._file.close()
+
+    def _abandon(self) -> None:
+        self._file.close()
+
+    def _copy(self, spans: list[tuple[int, int]]) -> None:
+        if spans:
+            with self._source.open("rb") as source:
+                for start, end in spans:
+                    _copy_bytes(source, self._file, start, end)
+
+
+def _copy_bytes(source: BinaryIO, target: BinaryIO, start: int, end: int) -> None:
+    source.seek(start)
+    while start < end:
+        block = source.read(min(_BLOCK, end - start))
+        if not block:
+            break
+        target.write(block)
+        start += len(block)
+
+
+def _field(each: PlyProperty) -> Field:
+    name = each.dtype.newbyteorder("=").name
+    return Field(each.name, name if each.count_dtype is None else f"list of {name}")
