@@ -5,12 +5,13 @@ line of text. Only x, y and z are read from it. Ascii coordinates are the float6
 text, also where the header says float32, so that what is computed is what the file says; integers
 beyond 2**53 are the only coordinates that float64 does not hold exactly.
 
+Bytes after the last point, which some writers leave in the binary encodings, are passed over.
+
 All encodings are streamed. A binary_compressed file, one LZF stream over whole columns, is
 decompressed to, and compressed from, a temporary file of the size of its points.
 """
 
 import struct
-from abc import abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -201,9 +202,6 @@ class PcdWriter(MapWriter):
         self._stream = Path(path).open("wb")  # noqa: SIM115 - closed by `_finish` and `_abandon`
         self._stream.write(header.for_points(point_count))
 
-    @abstractmethod
-    def _append(self, records: Any) -> None: ...
-
     def _finish(self) -> None:
         self._stream.close()
 
@@ -262,10 +260,9 @@ class PcdCompressedWriter(PcdWriter):
             packed_size = 0
             for block in self._spool.blocks():
                 packed_size += self._stream.write(lzf.compress(block))
-            if packed_size >= 1 << 32:
-                raise MapFormatError(
-                    self.path, "compressed data below 4 GiB", f"{packed_size} bytes"
-                )
+            if max(packed_size, self._column_size) >= 1 << 32:
+                found = f"{packed_size} of {self._column_size}"
+                raise MapFormatError(self.path, "compressed data below 4 GiB", found)
             self._stream.seek(sizes_at)
             self._stream.write(_SIZES.pack(packed_size, self._column_size))
 

@@ -17,7 +17,7 @@ from pyarrow.lib import ArrowInvalid, LargeStringArray, float64, py_buffer
 from tiling.errors import MapFormatError
 from tiling.formats.compiled import compiled
 
-BLOCK = 4 << 20
+BLOCK = 2 << 20
 """Bytes of text read at a time."""
 
 LONGEST_VALUE = 512
