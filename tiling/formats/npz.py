@@ -210,7 +210,7 @@ def _entries(archive: zipfile.ZipFile, path: Path) -> list[_Member]:
     members: dict[str, _Member] = {}
     size = path.stat().st_size
     for info in archive.infolist():
-        if info.is_dir():
+        if info.filename.endswith("/"):
             continue
         name = info.filename.removesuffix(".npy")
         if info.filename in members:
@@ -221,6 +221,9 @@ def _entries(archive: zipfile.ZipFile, path: Path) -> list[_Member]:
         most = info.compress_size
         if info.compress_type == zipfile.ZIP_DEFLATED:
             most = info.compress_size * _DEFLATE_LIMIT
+        if not 0 <= info.header_offset < size:
+            found = f"it at byte {info.header_offset} of {size}"
+            raise MapFormatError(path, f"array {name!r} within the file", found)
         if info.compress_size > size or info.file_size > most:
             found = f"{info.compress_size} bytes in a file of {size}"
             raise MapFormatError(path, f"{info.file_size} bytes of {name!r}", found)

@@ -40,6 +40,71 @@ class TableBatch(PointBatch):
         return self.records.filter(pa.array(chosen))
 
 
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How the rows of a file lie in it.
+
+    Attributes
+    ----------
+    codecs : dict of str to str
+        Compression of each column, by its path, as pyarrow names it.
+    group_rows : int
+        Rows of the largest row group; 0 where there are none.
+    has_int96 : bool
+        Whether there are time stamps in the form of 96 bits that Spark and Impala used to write.
+    has_arrow_schema : bool
+        Whether Arrow's own schema is kept beside that of Parquet.
+    has_compliant_lists : bool
+        Whether what is in a list is called `element`, as the format demands and as older
+        writers, which said `item`, did not.
+    """
+
+    codecs: dict[str, str]
+    group_rows: int
+    has_int96: bool
+    has_arrow_schema: bool
+    has_compliant_lists: bool
+
+    @classmethod
+    def of(cls, file: pq.ParquetFile, path: Path) -> "_Layout":
+        metadata = file.metadata
+        columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
+        groups = range(metadata.num_row_groups)
+        # A corrupt column chunk makes pyarrow end the process when it is asked about, and raise
+        # an error when it is read: so a row is read first.
+        next(file.iter_batches(batch_size=1, row_groups=list(groups[:1]), use_threads=False), None)
+        rows = [metadata.row_group(number).num_rows for number in groups]
+        if sum(rows) != metadata.num_rows or min(rows, default=0) < 0:
+            expected = f"{metadata.num_rows} rows in the row groups, as the footer says"
+            raise MapFormatError(path, expected, f"{sum(rows)}", at="the footer")
+        codecs = {}
+        for group in groups[:1]:
+            for number in range(metadata.num_columns):
+                chunk = metadata.row_group(group).column(number)
+                codecs[chunk.path_in_schema] = chunk.compression
+        return cls(
+            codecs=codecs,
+            group_rows=max(rows, default=0),
+            has_int96=any(column.physical_type == "INT96" for column in columns),
+            has_arrow_schema=_ARROW_SCHEMA in (metadata.metadata or {}),
+            has_compliant_lists=not any(".list.item" in column.path for column in columns),
+        )
+
+    @property
+    def writable_codecs(self) -> dict[str, str]:
+        """The codecs, with Snappy in place of one that cannot be written."""
+        return {path: _writable(codec) for path, codec in self.codecs.items()}
+
+
+def _writable(codec: str) -> str:
+    if codec == "UNCOMPRESSED":
+        return "NONE"
+    try:
+        return codec if pa.Codec.is_available(codec.lower()) else "SNAPPY"
+    except ValueError:  # a codec that pyarrow knows by name only
+        return "SNAPPY"
+
+
 class ParquetReader(MapReader):
     """Reads the rows of a Parquet file as points.
 
@@ -61,11 +126,11 @@ class ParquetReader(MapReader):
     def __init__(self, path: Path) -> None:
         self._path = path
         with _opened(path) as file:
-            self._metadata = file.metadata
-            stored = self._metadata.metadata or {}
+            stored = file.metadata.metadata or {}
             kept = {key: value for key, value in stored.items() if key != _ARROW_SCHEMA}
             self._schema = file.schema_arrow.with_metadata(kept or None)
-            _check_row_groups(self._metadata, path)
+            self._layout = _Layout.of(file, path)
+            version, point_count = file.metadata.format_version, file.metadata.num_rows
         names = coordinate_names(self._schema.names)
         if names is None:
             found = ", ".join(self._schema.names[:12]) or "none"
@@ -73,11 +138,12 @@ class ParquetReader(MapReader):
         self._names = names
         for name in names:
             self._check_column(name)
+        codecs = sorted({codec.lower() for codec in self._layout.codecs.values()})
         self.description = MapDescription(
             path=path,
-            format=f"Parquet {self._metadata.format_version}, {self._codecs_in_words()}",
+            format=f"Parquet {version}, {', '.join(codecs) or 'no row groups'}",
             suffix=".parquet",
-            point_count=self._metadata.num_rows,
+            point_count=point_count,
             fields=tuple(Field(field.name, str(field.type)) for field in self._schema),
             crs=_crs(stored.get(_GEO)),
         )
@@ -87,7 +153,7 @@ class ParquetReader(MapReader):
         row = 0
         with _opened(self._path) as file:
             for batch in file.iter_batches(batch_size=max_points, use_threads=False):
-                table = pa.Table.from_batches([batch]).cast(self._schema)
+                table = pa.Table.from_batches([batch])
                 xyz = np.empty((table.num_rows, 3))
                 for column, name in enumerate(self._names):
                     xyz[:, column] = _numbers(table.column(name))
@@ -100,7 +166,7 @@ class ParquetReader(MapReader):
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a table like this one; see `MapReader.writer`."""
-        return _ParquetWriter(path, point_count, self._schema, self._metadata)
+        return _ParquetWriter(path, point_count, self._schema, self._layout)
 
     def _check_column(self, name: str) -> None:
         if self._schema.names.count(name) != 1:
@@ -111,32 +177,25 @@ class ParquetReader(MapReader):
                 self._path, f"numbers in column {name}", f"type {kind}", at="the schema"
             )
 
-    def _codecs_in_words(self) -> str:
-        codecs = sorted(set(_codecs(self._metadata).values()))
-        return ", ".join(codec.lower() for codec in codecs) or "no row groups"
-
 
 class _ParquetWriter(MapWriter):
     """Gathers points into row groups of the size the source has."""
 
-    def __init__(
-        self, path: Path, point_count: int, schema: pa.Schema, metadata: pq.FileMetaData
-    ) -> None:
+    def __init__(self, path: Path, point_count: int, schema: pa.Schema, layout: _Layout) -> None:
         super().__init__(path, point_count)
-        groups = [metadata.row_group(n).num_rows for n in range(metadata.num_row_groups)]
-        self._group_rows = min(max(groups, default=0) or _LONGEST_ROW_GROUP, _LONGEST_ROW_GROUP)
+        self._group_rows = min(layout.group_rows or _LONGEST_ROW_GROUP, _LONGEST_ROW_GROUP)
         self._schema = schema
         self._gathered: list[pa.Table] = []
         self._rows = 0
-        columns = [metadata.schema.column(n) for n in range(metadata.num_columns)]
         self._writer = pq.ParquetWriter(
             path,
             schema,
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
-            compression=_writable_codecs(metadata) or "snappy",
-            use_deprecated_int96_timestamps=any(c.physical_type == "INT96" for c in columns),
-            store_schema=_ARROW_SCHEMA in (metadata.metadata or {}),
+            compression=layout.writable_codecs or "snappy",
+            use_deprecated_int96_timestamps=layout.has_int96,
+            store_schema=layout.has_arrow_schema,
+            use_compliant_nested_type=layout.has_compliant_lists,
         )
 
     def _append(self, records: Any) -> None:
@@ -188,45 +247,6 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise MapFormatError(path, "a whole Parquet file", found) from error
-
-
-def _check_row_groups(metadata: pq.FileMetaData, path: Path) -> None:
-    """Compare what the footer says of the row groups with the file."""
-    size = path.stat().st_size
-    rows = 0
-    for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
-        rows += group.num_rows
-        for column in range(group.num_columns):
-            chunk = group.column(column)
-            start = chunk.data_page_offset
-            if chunk.has_dictionary_page and chunk.dictionary_page_offset:
-                start = min(start, chunk.dictionary_page_offset)
-            end = start + chunk.total_compressed_size
-            if not 0 <= start <= end <= size:
-                expected = f"column {chunk.path_in_schema} of row group {number} within the file"
-                raise MapFormatError(path, expected, f"bytes {start} to {end} of {size}")
-    if rows != metadata.num_rows or rows < 0:
-        expected = f"{metadata.num_rows} rows in the row groups, as the footer says"
-        raise MapFormatError(path, expected, f"{rows}", at="the footer")
-
-
-def _codecs(metadata: pq.FileMetaData) -> dict[str, str]:
-    """Return the compression of each column, by its path, from the first row group."""
-    if not metadata.num_row_groups:
-        return {}
-    group = metadata.row_group(0)
-    chunks = [group.column(number) for number in range(group.num_columns)]
-    return {chunk.path_in_schema: chunk.compression for chunk in chunks}
-
-
-def _writable_codecs(metadata: pq.FileMetaData) -> dict[str, str]:
-    """Return the same, with Snappy in place of a codec that cannot be written."""
-    codecs = {}
-    for path, codec in _codecs(metadata).items():
-        known = codec == "UNCOMPRESSED" or pa.Codec.is_available(codec.lower())
-        codecs[path] = codec.replace("UNCOMPRESSED", "NONE") if known else "SNAPPY"
-    return codecs
 
 
 def _numbers(column: pa.ChunkedArray) -> NDArray[np.float64]:

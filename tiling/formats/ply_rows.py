@@ -280,6 +280,8 @@ class BinaryRows(PlyRows):
         self.position += size
         records = np.empty(len(found), dtype=object)
         records[:] = found
+        if not element.scalars:
+            return records, np.empty(len(found), dtype=[])
         return records, np.frombuffer(b"".join(packed), dtype=element.scalar_dtype)
 
     def _measure(self, layout: "_Layout", at: int) -> "_Measure":
@@ -300,7 +302,7 @@ class BinaryRows(PlyRows):
         raise MapFormatError(
             self._path,
             f"at least {needed} bytes for {element.count} records of {element.name!r}",
-            f"the end of the file at byte {self._size}",
+            f"a file of {self._size} bytes",
             at=f"byte {self.position}",
         )
 
