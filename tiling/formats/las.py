@@ -1,0 +1,202 @@
+"""LAS and LAZ 1.0 to 1.5, point formats 0 to 10, and COPC as input.
+
+A point travels as the raw bytes of its record. They are not turned into laspy's arrays and back,
+nor is the header, because laspy's writer renews what it understands (generating software, records
+reserved for others, text after a terminating zero) and the map must keep it. Fields are named as
+laspy names them, and coordinates are computed as laspy computes them.
+"""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from laspy.point.format import PointFormat
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import DEFAULT_BATCH, Field, MapDescription, MapReader, PointBatch
+from tiling.formats.las_crs import crs_name
+from tiling.formats.las_header import (
+    AT_WAVEFORMS,
+    RECORD_LENGTHS,
+    WAVEFORMS_EXTERNAL,
+    LasHeader,
+    read_header,
+)
+from tiling.formats.las_writer import LasWriter, is_copc_index
+from tiling.formats.laz import (
+    LaszipPoints,
+    LazPoints,
+    PointSource,
+    laszip_is_installed,
+)
+from tiling.formats.laz_header import Compression, read_compression
+
+_LARGEST_BATCH = 1 << 28
+"""Bytes of records in a batch, however many points the caller allows."""
+
+# Types of extra bytes, from code 1 on; codes 11 to 30 are pairs and triples of them.
+_EXTRA_TYPES = (
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "uint64",
+    "int64",
+    "float32",
+    "float64",
+)
+_EXTRA_DESCRIPTOR = 192
+
+
+class LasReader(MapReader):
+    """Reads a LAS, LAZ or COPC file; COPC points come in the file's order.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When the header, or what it says of the points, contradicts the format or the file's size.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._header = read_header(path)
+        self._compression: Compression | None = None
+        if self._header.compressed:
+            self._compression = read_compression(self._header)
+        self.description = _describe(self._header)
+
+    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
+        """Yield the points; `records` is (n, record_length) uint8."""
+        header = self._header
+        rows = max(1, min(max_points, _LARGEST_BATCH // header.record_length))
+        with header.path.open("rb") as file:
+            source = self._point_source(file)
+            for first in range(0, header.point_count, rows):
+                count = min(rows, header.point_count - first)
+                records = np.empty((count, header.record_length), dtype=np.uint8)
+                source.read_into(records)
+                yield PointBatch(
+                    first, coordinates(records, header), records, _classes(records, header)
+                )
+
+    def writer(self, path: Path, point_count: int) -> LasWriter:
+        """Open a writer of a map with this one's header, VLRs and EVLRs."""
+        return LasWriter(path, point_count, self._header, self._compression)
+
+    def _point_source(self, file: BinaryIO) -> PointSource:
+        if self._compression is None:
+            return _RawPoints(file, self._header)
+        if self._compression.needs_laszip and laszip_is_installed():
+            return LaszipPoints(file, self._header, self._compression)
+        return LazPoints(file, self._header, self._compression)
+
+
+class _RawPoints:
+    """The points of an uncompressed file, in order."""
+
+    def __init__(self, file: BinaryIO, header: LasHeader) -> None:
+        self._file = file
+        self._header = header
+        file.seek(header.points_offset)
+
+    def read_into(self, records: NDArray[np.uint8]) -> None:
+        """Read the next points into (n, record_length)."""
+        found = self._file.readinto(records.reshape(-1).data)  # type: ignore[attr-defined]
+        if found != records.size:
+            raise MapFormatError(
+                self._header.path,
+                f"{self._header.point_count} points",
+                "the file's end: it was cut after its header was read",
+                f"byte {self._file.tell()}",
+            )
+
+
+def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
+    """Return the coordinates of raw records, (n, 3), in the map's units."""
+    grid = np.ascontiguousarray(records[:, :12]).view("<i4")
+    xyz: NDArray[np.float64] = grid * np.array(header.scales) + np.array(header.offsets)
+    return xyz
+
+
+def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]:
+    """Return the ASPRS classes: until point format 5 they share their byte with three flags."""
+    if header.point_format < 6:
+        return records[:, 15] & np.uint8(31)
+    return records[:, 16].copy()
+
+
+def _describe(header: LasHeader) -> MapDescription:
+    kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.minor_version}"
+    kind = f"{kind}, point format {header.point_format}"
+    if _is_copc(header):
+        kind = f"COPC ({kind})"
+    return MapDescription(
+        path=header.path,
+        format=kind,
+        suffix=".laz" if header.compressed else ".las",
+        point_count=header.point_count,
+        fields=(*_standard_fields(header), *_extra_fields(header)),
+        crs=crs_name(header.vlrs + header.evlrs),
+        has_classification=True,
+        notes=tuple(_notes(header)),
+    )
+
+
+def _is_copc(header: LasHeader) -> bool:
+    return any(is_copc_index(record) for record in header.vlrs)
+
+
+def _notes(header: LasHeader) -> Iterator[str]:
+    if _is_copc(header):
+        yield (
+            "The output is plain LAZ: the COPC index (info VLR and hierarchy EVLR) is left out, "
+            "since it describes where other points lie."
+        )
+    if header.has_waveforms:
+        if header.global_encoding & WAVEFORMS_EXTERNAL:
+            yield (
+                "The waveform packets are in a .wdp file beside the input, which is not copied: "
+                "the points keep their places in it."
+            )
+        elif header.minor_version >= 3 and header.waveforms is None:
+            (start,) = struct.unpack_from("<Q", header.block, AT_WAVEFORMS)
+            if start:
+                yield (
+                    f"The waveform packets said to start at byte {start} are not there, "
+                    "and cannot be copied."
+                )
+
+
+def _standard_fields(header: LasHeader) -> Iterator[Field]:
+    """Name the fields of the point format as laspy does; those of a few bits are uint8."""
+    for dimension in PointFormat(header.point_format).standard_dimensions:
+        dtype = dimension.dtype
+        yield Field(dimension.name, "uint8" if dtype is None else dtype.name)
+
+
+def _extra_fields(header: LasHeader) -> Iterator[Field]:
+    """Name the extra bytes from their VLR, and those that it does not describe `ExtraBytes`."""
+    left = header.record_length - RECORD_LENGTHS[header.point_format]
+    described = next((r.data for r in header.vlrs if r.names("LASF_Spec", 4)), b"")
+    for at in range(0, len(described) - _EXTRA_DESCRIPTOR + 1, _EXTRA_DESCRIPTOR):
+        code, options = described[at + 2], described[at + 3]
+        name = described[at + 4 : at + 36].split(b"\0")[0].decode("utf-8", "replace")
+        field = Field(name, "uint8", options)
+        if 1 <= code <= 30:
+            field = Field(name, _EXTRA_TYPES[(code - 1) % 10], (code - 1) // 10 + 1)
+        size = np.dtype(field.dtype).itemsize * field.count
+        if code > 30 or size == 0 or size > left:
+            break
+        left -= size
+        yield field
+    if left:
+        yield Field("ExtraBytes", "uint8", left)
