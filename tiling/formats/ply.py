@@ -155,10 +155,7 @@ class _PlyWriter(MapWriter):
         self._copy(before)
 
     def _append(self, records: Any) -> None:
-        if self._header.encoding == "ascii":
-            end = self._header.line_end
-            self._file.write(end.join(records) + end)
-        elif self._header.vertex.is_fixed:
+        if self._header.encoding == "ascii" or self._header.vertex.is_fixed:
             self._file.write(records.tobytes())
         else:
             self._file.write(b"".join(records))

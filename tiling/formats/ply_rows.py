@@ -4,7 +4,6 @@ Both readers keep a record as the bytes it has in the file. Numbers are taken ou
 the properties that are asked for.
 """
 
-import math
 import os
 import struct
 from abc import ABC, abstractmethod
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.ply_header import PlyElement, PlyHeader
+from tiling.formats.text_rows import RowLayout, TextRows, parse_rows
 
 _BLOCK = 1 << 20
 _LONGEST_LINE = 1 << 24
@@ -49,12 +49,12 @@ class PlyRows(ABC):
     @abstractmethod
     def take(
         self, element: PlyElement, most: int, names: Sequence[str] = ()
-    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    ) -> tuple[TextRows | NDArray[Any], NDArray[np.float64]]:
         """Read the next records, at least one and at most `most`, all of `element`.
 
         Returns
         -------
-        records : (n,) array
+        records : TextRows or (n,) array
             As they stand in the file.
         values : (n, len(names)) float64 array
             The numbers of the properties asked for.
@@ -75,10 +75,10 @@ class PlyRows(ABC):
 def open_rows(file: BinaryIO, header: PlyHeader, path: Path) -> PlyRows:
     """Return the records after the header, for the file's encoding."""
     file.seek(header.size)
-    return (TextRows if header.encoding == "ascii" else BinaryRows)(file, header, path)
+    return (AsciiRows if header.encoding == "ascii" else BinaryRows)(file, header, path)
 
 
-class TextRows(PlyRows):
+class AsciiRows(PlyRows):
     """Records that are lines of text; blank lines are no records."""
 
     def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
@@ -86,78 +86,89 @@ class TextRows(PlyRows):
         self._file = file
         self._path = path
         self._line_end = header.line_end
-        self._next_line = len(header.lines) + 1
-        self._lines: list[bytes] = []
-        self._used = 0
+        self._line = len(header.lines) + 1
+        self._block = b""
+        self._at = 0
         self._rest = b""
-        self._ended = False
 
     def take(
         self, element: PlyElement, most: int, names: Sequence[str] = ()
-    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    ) -> tuple[TextRows, NDArray[np.float64]]:
         """Read the next lines; see `PlyRows.take`."""
-        lines, numbers = self._rows(element, most)
-        rows = [line.split() for line in lines]
-        if element.is_fixed:
-            width = len(element.properties)
-            for row, number in zip(rows, numbers, strict=True):
-                if len(row) != width:
-                    self._fail(f"{width} numbers of a {element.name}", f"{len(row)}", number)
-        else:
-            rows = [
-                self._without_lists(element, row, number)
-                for row, number in zip(rows, numbers, strict=True)
-            ]
-        values = np.empty((len(rows), len(names)))
+        rows, values = self._rows(element, most, names)
+        while not len(rows):
+            if not self._refill():
+                expected = f"all {element.count} records of {element.name!r}"
+                self._fail(expected, "the end of the file", self._line)
+            rows, values = self._rows(element, most, names)
         for column, name in enumerate(names):
-            values[:, column] = self._numbers(element, name, rows, numbers)
-        records = np.empty(len(lines), dtype=object)
-        records[:] = lines
-        return records, values
-
-    def _rows(self, element: PlyElement, most: int) -> tuple[list[bytes], list[int]]:
-        """Return the next lines that are not blank, and their line numbers."""
-        rows: list[bytes] = []
-        numbers: list[int] = []
-        size = 0
-        while len(rows) < most and size < _MOST_BYTES:
-            if self._used == len(self._lines) and not self._refill():
-                if not rows:
-                    self._fail(
-                        f"all {element.count} records of {element.name!r}",
-                        "the end of the file",
-                        self._next_line,
-                    )
-                break
-            line = self._lines[self._used]
-            self._used += 1
-            if line and not line.isspace():
-                rows.append(line)
-                numbers.append(self._next_line)
-            self._next_line += 1
-            size += len(line)
-            self.position += len(line) + len(self._line_end)
-        return rows, numbers
+            dtype = element.scalar_dtype[name]
+            if dtype.kind == "f":
+                with np.errstate(all="ignore"):
+                    values[:, column] = values[:, column].astype(dtype)
+        return rows, values
 
     def _refill(self) -> bool:
-        """Read further lines; return False at the end of the file."""
-        self._lines, self._used = [], 0
-        while not self._lines and not self._ended:
-            block = self._file.read(_BLOCK)
-            pieces = (self._rest + block).split(self._line_end)
-            self._rest = pieces.pop()
-            self._lines = pieces
-            if len(self._rest) > _LONGEST_LINE:
-                number = self._next_line + len(self._lines)
-                self._fail(f"a line of at most {_LONGEST_LINE} bytes", "a longer one", number)
-            if not block:
-                self._ended = True
-                if self._rest:
-                    self._lines, self._rest = [self._rest], b""
-        return bool(self._lines)
+        """Read further whole lines; return False at the end of the file."""
+        pieces = [self._rest]
+        size = len(self._rest)
+        self._rest = b""
+        while block := self._file.read(_BLOCK):
+            end = block.rfind(self._line_end) + 1
+            pieces.append(block[:end] if end else block)
+            if end:
+                self._rest = block[end:]
+                break
+            size += len(block)
+            if size > _LONGEST_LINE:
+                expected = f"a line of at most {_LONGEST_LINE} bytes"
+                self._fail(expected, "a longer one", self._line)
+        self._block, self._at = b"".join(pieces), 0
+        return bool(self._block)
 
-    def _without_lists(self, element: PlyElement, row: list[bytes], number: int) -> list[bytes]:
-        """Check a row that has lists, and return its other numbers."""
+    def _rows(
+        self, element: PlyElement, most: int, names: Sequence[str]
+    ) -> tuple[TextRows, NDArray[np.float64]]:
+        """Take rows out of the block, none where only blank lines are left in it."""
+        start = self._at
+        if element.is_fixed and len(names) == 3 and self._line_end == b"\n":
+            columns = [element.scalar_dtype.names.index(name) for name in names]  # type: ignore[union-attr]
+            x, y, z = columns
+            layout = RowLayout(len(element.properties), (x, y, z))
+            text = np.frombuffer(self._block, dtype=np.uint8)
+            rows, values, self._at, lines = parse_rows(
+                text, start, most, layout, self._path, self._line
+            )
+            self._line += lines
+        else:
+            rows, values = self._rows_one_by_one(element, most, names)
+        self.position += self._at - start
+        return rows, values
+
+    def _rows_one_by_one(
+        self, element: PlyElement, most: int, names: Sequence[str]
+    ) -> tuple[TextRows, NDArray[np.float64]]:
+        """Do the same for lists, for line ends of old Macs, and where no number is wanted."""
+        starts: list[int] = []
+        stops: list[int] = []
+        values: list[list[float]] = []
+        wanted = [element.scalar_dtype.names.index(name) for name in names]  # type: ignore[union-attr]
+        while len(starts) < most and self._at < len(self._block):
+            start = self._at
+            self._at = (self._block.find(self._line_end, start) + 1) or len(self._block)
+            words = self._block[start : self._at].split()
+            if words:
+                scalars = self._without_lists(element, words)
+                starts.append(start)
+                stops.append(self._at)
+                values.append([self._number(scalars[column]) for column in wanted])
+            self._line += 1
+        text = np.frombuffer(self._block, dtype=np.uint8)
+        rows = TextRows(text, np.array(starts, dtype=np.int64), np.array(stops, dtype=np.int64))
+        return rows, np.array(values, dtype=np.float64).reshape(len(starts), len(names))
+
+    def _without_lists(self, element: PlyElement, row: list[bytes]) -> list[bytes]:
+        """Check that a row is whole, and return its numbers outside lists."""
         scalars = []
         at = 0
         for each in element.properties:
@@ -169,41 +180,17 @@ class TextRows(PlyRows):
                 at += int(word)
             else:
                 found = _show(word) if word else "the end of the line"
-                self._fail(f"the length of list {each.name!r}", found, number)
+                self._fail(f"the length of list {each.name!r}", found, self._line)
         if at != len(row):
-            self._fail(f"{at} numbers of a {element.name}", f"{len(row)}", number)
+            self._fail(f"{at} values in a row of {element.name!r}", f"{len(row)}", self._line)
         return scalars
 
-    def _numbers(
-        self, element: PlyElement, name: str, rows: list[list[bytes]], numbers: list[int]
-    ) -> NDArray[np.float64]:
-        """Return one property of the rows, as a binary file of the same type would hold it."""
-        column = element.scalar_dtype.names.index(name)  # type: ignore[union-attr]
+    def _number(self, word: bytes) -> float:
         try:
-            words = [row[column] for row in rows]
             # float() takes 1_000, which no file format means.
-            values = np.array([float(w) if b"_" not in w else math.nan for w in words], dtype=float)
-            sound = not np.isnan(values).any()
+            return float(word.replace(b"_", b"?"))
         except ValueError:
-            sound = False
-        if not sound:
-            values = np.array(
-                [self._number(name, row[column], n) for row, n in zip(rows, numbers, strict=True)],
-                dtype=float,
-            )
-        dtype = element.scalar_dtype[name]
-        if dtype.kind != "f":
-            return values
-        with np.errstate(all="ignore"):
-            return values.astype(dtype).astype(np.float64)
-
-    def _number(self, name: str, word: bytes, number: int) -> float:
-        try:
-            if b"_" in word:
-                raise ValueError
-            return float(word)
-        except ValueError:
-            self._fail(f"a number for {name!r}", _show(word), number)
+            self._fail("a number", _show(word), self._line)
 
     def _fail(self, expected: str, found: str, line: int) -> NoReturn:
         raise MapFormatError(self._path, expected, found, at=f"line {line}")

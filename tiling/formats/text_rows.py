@@ -123,7 +123,7 @@ def read_rows(
         while position < len(text):
             # One row is tried for when all have come, to tell blank lines from a row too many.
             limit = min(max_rows, row_count - found) or 1
-            rows, xyz, position, lines = _parse(text, position, limit, layout, path, line)
+            rows, xyz, position, lines = parse_rows(text, position, limit, layout, path, line)
             line += lines
             found += len(rows)
             if found > row_count:
@@ -158,10 +158,34 @@ def _whole_lines(stream: BinaryIO, layout: RowLayout, path: Path) -> Iterator[by
         yield b"".join(carried)
 
 
-def _parse(
+def parse_rows(
     text: Bytes, position: int, limit: int, layout: RowLayout, path: Path, line: int
 ) -> tuple[TextRows, NDArray[np.float64], int, int]:
-    """Take up to `limit` rows; return them, their coordinates, the new position, lines passed."""
+    """Take up to `limit` rows out of whole lines of text.
+
+    Parameters
+    ----------
+    text : (m,) uint8 array
+    position : int
+        Where in `text` to begin.
+    limit : int
+        Rows to take at most.
+    layout : RowLayout
+    path : Path
+        The file, for messages.
+    line : int
+        Number of the line at `position`, for messages.
+
+    Returns
+    -------
+    TextRows, (n, 3) float64 array, int, int
+        The rows, their coordinates, the position after them, and the lines passed.
+
+    Raises
+    ------
+    MapFormatError
+        For another number of values in a row, and a value that is not a number.
+    """
     # A value and its separator take two bytes at least.
     limit = min(limit, (len(text) - position) // (2 * layout.values) + 1)
     starts = np.empty(limit, dtype=np.int64)
