@@ -74,6 +74,9 @@ def test_columns_of_all_kinds(tmp_path, rewrite, read_xyz, most, compression, co
         )
     )
     reader = open_map(path)
+    types = {field.name: field.dtype for field in reader.description.fields}
+    assert types["y"] == "float32"
+    assert types["pair"].startswith("fixed_size_list")
     x = [np.nan if value is None else value for value in table["x"].to_pylist()]
     xyz = read_xyz(reader, most)
     np.testing.assert_array_equal(xyz[:, 0], x)

@@ -144,7 +144,7 @@ class ParquetReader(MapReader):
             format=f"Parquet {version}, {', '.join(codecs) or 'no row groups'}",
             suffix=".parquet",
             point_count=point_count,
-            fields=tuple(Field(field.name, str(field.type)) for field in self._schema),
+            fields=tuple(Field(each.name, _type_name(each.type)) for each in self._schema),
             crs=_crs(stored.get(_GEO)),
         )
 
@@ -245,8 +245,17 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
             yield file
     # pyarrow reports a corrupt file as any of these; one that cannot be read at all was met above.
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
+        if isinstance(error, OSError) and error.errno:
+            raise  # from the operating system, not about what the file holds
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise MapFormatError(path, "a whole Parquet file", found) from error
+
+
+def _type_name(kind: pa.DataType) -> str:
+    """Return NumPy's name of a type of numbers, and Arrow's of any other."""
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+        return np.dtype(kind.to_pandas_dtype()).name
+    return " ".join(str(kind).split())
 
 
 def _numbers(column: pa.ChunkedArray) -> NDArray[np.float64]:
