@@ -254,7 +254,7 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
 def _type_name(kind: pa.DataType) -> str:
     """Return NumPy's name of a type of numbers, and Arrow's of any other."""
     if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        return np.dtype(kind.to_pandas_dtype()).name
+        return str(np.dtype(kind.to_pandas_dtype()).name)
     return " ".join(str(kind).split())
 
 
