@@ -8,9 +8,8 @@ import re
 import struct
 from collections.abc import Sequence
 
-from tiling.formats.las_header import VariableLengthRecord
+from tiling.formats.las_header import CRS_USER_ID, VariableLengthRecord
 
-_PROJECTION = "LASF_Projection"
 _WKT = 2112
 _GEO_KEY_DIRECTORY = 34735
 _GEO_ASCII_PARAMS = 34737
@@ -38,7 +37,7 @@ def crs_name(records: Sequence[VariableLengthRecord]) -> str | None:
         `"EPSG:26915"` where an authority's code is given, else the system's own name; None where
         there is neither. Well-known text is preferred to GeoTIFF keys.
     """
-    found = {r.record_id: r.data for r in records if r.user_id == _PROJECTION and r.data}
+    found = {r.record_id: r.data for r in records if r.user_id == CRS_USER_ID and r.data}
     name = None
     if _WKT in found:
         name = _name_in_wkt(found[_WKT].split(b"\0")[0].decode("utf-8", "replace"))

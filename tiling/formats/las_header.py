@@ -6,7 +6,7 @@ those of the ASPRS LAS specification, 1.4 R15 (table 3) and 1.5.
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -36,12 +36,15 @@ AT_GPS_TIME_BOUNDS = 375
 WAVEFORMS_EXTERNAL = 0b100
 """Bit of the global encoding: waveform packets are in a `.wdp` file."""
 
+CRS_USER_ID = "LASF_Projection"
+"""Who registered the records of the coordinate reference system."""
+
 _VLR_HEADER = 54
 _EVLR_HEADER = 60
 _COMPRESSED = 0x80
 _LARGEST_GRID_COORDINATE = 1 << 31
-_LARGEST_KEPT_RECORD = 1 << 20
-"""Longer records are copied, but not looked into."""
+_LARGEST_CRS = 1 << 20
+"""Bytes of an EVLR of a coordinate reference system; no other EVLR is looked into."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,7 @@ class VariableLengthRecord:
     start, size : int
         Bytes of the whole record, its header included.
     data : bytes
-        The record's own data; empty where it is too long to be looked into.
+        The record's own data; of an EVLR, only where it is of the coordinate reference system.
     """
 
     user_id: str
@@ -328,8 +331,10 @@ def _read_evlrs(
                 f"EVLR {number} of {size} bytes",
                 f"byte {start}",
             )
-        data = file.read(size - _EVLR_HEADER) if size <= _LARGEST_KEPT_RECORD else b""
-        records.append(_record(head, start, size, data))
+        record = _record(head, start, size, b"")
+        if record.user_id == CRS_USER_ID and size <= _LARGEST_CRS:
+            record = replace(record, data=file.read(size - _EVLR_HEADER))
+        records.append(record)
         start += size
     return tuple(records)
 

@@ -27,7 +27,7 @@ from tiling.formats.las_header import (
     LasHeader,
     VariableLengthRecord,
 )
-from tiling.formats.laz_header import Compression, is_laszip_record
+from tiling.formats.laz_header import Compression, is_laszip_record, own_compression
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -94,8 +94,7 @@ class LasWriter(MapWriter):
         point_format = self._header.point_format
         extra_bytes = self._header.record_length - RECORD_LENGTHS[point_format]
         variable_chunks = point_format in _LAYERED_WAVE_PACKETS
-        own = lazrs.LazVlr.new_for_compression(point_format, extra_bytes, variable_chunks)
-        data = own.record_data()
+        data = own_compression(point_format, extra_bytes, variable_chunks)
         if (
             not variable_chunks
             and compression.can_be_written_as(data)
@@ -107,7 +106,7 @@ class LasWriter(MapWriter):
         shift = len(self._header.block) - len(self._block)
         start = record.end - len(record.data) - shift
         self._block[start : start + len(data)] = data
-        return own
+        return lazrs.LazVlr(data)
 
     def _append(self, records: NDArray[np.uint8]) -> None:
         records = np.ascontiguousarray(records)

@@ -6,10 +6,14 @@ data) and by its source.
 
 import struct
 from dataclasses import dataclass
-from typing import NoReturn
+from importlib import import_module
+from typing import Any, NoReturn
 
 from tiling.errors import MapFormatError
 from tiling.formats.las_header import LasHeader, VariableLengthRecord
+
+# It has no types that a checker can use.
+lazrs: Any = import_module("lazrs")
 
 _POINT_WISE, _POINT_WISE_CHUNKED, _LAYERED_CHUNKED = 1, 2, 3
 _VARIABLE_CHUNK_SIZE = 0xFFFFFFFF
@@ -105,6 +109,20 @@ class Compression:
             at = _AT_ITEMS + 2 + 6 * item + 4
             struct.pack_into("<H", data, at, min(version, 3))
         return bytes(data)
+
+
+def own_compression(point_format: int, extra_bytes: int, variable_chunks: bool) -> bytes:
+    """Return the data of a laszip VLR that lazrs can follow, and every reader understands.
+
+    lazrs calls its wave packets of point formats 4 and 5 version 2, although LASzip knows them in
+    version 1 only, which is what they are.
+    """
+    vlr = lazrs.LazVlr.new_for_compression(point_format, extra_bytes, variable_chunks)
+    data = bytearray(vlr.record_data())
+    if _WAVE_PACKET13 in _ITEMS[point_format]:
+        item = _ITEMS[point_format].index(_WAVE_PACKET13)
+        struct.pack_into("<H", data, _AT_ITEMS + 2 + 6 * item + 4, 1)
+    return bytes(data)
 
 
 def read_compression(header: LasHeader) -> Compression:
