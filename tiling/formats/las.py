@@ -137,7 +137,7 @@ def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]
 def _describe(header: LasHeader) -> MapDescription:
     kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.minor_version}"
     kind = f"{kind}, point format {header.point_format}"
-    if _is_copc(header):
+    if header.compressed and _has_copc_index(header):
         kind = f"COPC ({kind})"
     return MapDescription(
         path=header.path,
@@ -151,14 +151,14 @@ def _describe(header: LasHeader) -> MapDescription:
     )
 
 
-def _is_copc(header: LasHeader) -> bool:
-    return any(is_copc_index(record) for record in header.vlrs)
+def _has_copc_index(header: LasHeader) -> bool:
+    return any(is_copc_index(record) for record in header.vlrs + header.evlrs)
 
 
 def _notes(header: LasHeader) -> Iterator[str]:
-    if _is_copc(header):
+    if _has_copc_index(header):
         yield (
-            "The output is plain LAZ: the COPC index (info VLR and hierarchy EVLR) is left out, "
+            f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info VLR and hierarchy EVLR) is left out, "
             "since it describes where other points lie."
         )
     if header.has_waveforms:

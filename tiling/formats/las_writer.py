@@ -69,10 +69,8 @@ class LasWriter(MapWriter):
         self._header = header
         self._summary = _Summary(header)
         self._block = bytearray(header.block)
-        vlr = None
-        if compression is not None:
-            self._remove_copc_info()
-            vlr = self._settle_compression(compression)
+        vlr = None if compression is None else self._settle_compression(compression)
+        self._remove_copc_info()
         self._file = path.open("wb")
         try:
             self._file.write(self._block)
@@ -82,7 +80,7 @@ class LasWriter(MapWriter):
             raise
 
     def _remove_copc_info(self) -> None:
-        """Take the COPC info VLR out of the block; it is the first."""
+        """Take the COPC info VLR out of the block."""
         for record in reversed([r for r in self._header.vlrs if is_copc_index(r)]):
             del self._block[record.start : record.end]
             (count,) = struct.unpack_from("<I", self._block, AT_VLR_COUNT)
@@ -103,8 +101,7 @@ class LasWriter(MapWriter):
             return lazrs.LazVlr(compression.data)
         # Both have the same items, if not of the same version, and hence the same length.
         record = next(r for r in self._header.vlrs if is_laszip_record(r))
-        shift = len(self._header.block) - len(self._block)
-        start = record.end - len(record.data) - shift
+        start = record.end - len(record.data)
         self._block[start : start + len(data)] = data
         return lazrs.LazVlr(data)
 
