@@ -1,0 +1,232 @@
+"""The densities of a cluster, from the compiled kernels."""
+
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.errors import InvalidParametersError, InvalidPointsError
+from dynahull.kernels.compilation import kernels
+from dynahull.kernels.exact import exact_hull_volume
+from dynahull.kernels.tree import LEAF_SIZE
+
+_LEAVES_AT_A_TIME = 128
+_FEWEST = 4
+_MOST = 2**32 - 1  # positions in the tree are 32 bits
+_LARGEST = 1e150  # squares of differences stay finite
+
+
+@dataclass(frozen=True, slots=True)
+class HullDensities:
+    """What is known of every point of a cluster.
+
+    Attributes
+    ----------
+    density : (n,) float64 array
+        k / v in points per cubic unit; infinite where the hull has no volume; NaN where the point
+        was not a query.
+    squared_reach : (n,) float64 array
+        Squared distance of the k-th neighbour, `(dx dx + dy dy) + dz dz` in float64; NaN where
+        the point was not a query. Points missing beyond a plane `x = b` change nothing as long as
+        it is smaller than the square of `b - x`, to the last bit.
+    """
+
+    density: NDArray[np.float64]
+    squared_reach: NDArray[np.float64]
+
+
+def hull_densities(
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    k: int,
+    *,
+    queries: NDArray[np.bool_] | None = None,
+    threads: int = 1,
+    on_progress: Callable[[int], None] | None = None,
+) -> HullDensities:
+    """Compute the density k / v of the points of one cluster (Section III-C of the paper).
+
+    v is the volume of the convex hull of the k nearest points, the point itself included; ties of
+    distance go to the smaller row number. It is zero where the points are flat, by
+    `dynahull.hull.FLATNESS`. The result for a point is a function of the coordinates of its
+    neighbours in their order, to the last bit: whatever else is in the cluster, however it is
+    ordered, and whichever points are queries.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 array
+        Finite coordinates.
+    rows : (n,) int64 array
+        Row numbers, distinct.
+    k : int
+        Neighbours; n where it is more.
+    queries : (n,) bool array, optional
+        The points whose densities are wanted; the others serve as neighbours. All by default.
+    threads : int
+        Threads that share the work.
+    on_progress : callable, optional
+        Told, in the calling thread, of each number of points done (queries or not) since the last
+        call.
+
+    Raises
+    ------
+    InvalidPointsError
+        When there are fewer than four points, or they are not finite, or too large to square.
+    InvalidParametersError
+        When `k` is less than four, or `threads` less than one.
+    """
+    density = np.full(len(points), np.nan)
+    squared_reach = _solve(points, rows, k, queries, threads, on_progress, density, None)
+    return HullDensities(density, squared_reach)
+
+
+def nearest_rows(
+    points: NDArray[np.float64], rows: NDArray[np.int64], k: int, *, threads: int = 1
+) -> NDArray[np.int64]:
+    """Return the row numbers of the k nearest points of every point, in their order.
+
+    Parameters and errors are those of `hull_densities`.
+
+    Returns
+    -------
+    (n, min(k, n)) int64 array
+        Ordered by (squared distance, row number).
+    """
+    neighbours = np.empty((len(points), min(k, len(points))), np.int64)
+    _solve(points, rows, k, None, threads, None, None, neighbours)
+    return neighbours
+
+
+def squared_reaches(
+    points: NDArray[np.float64], rows: NDArray[np.int64], k: int, *, threads: int = 1
+) -> NDArray[np.float64]:
+    """Return the squared distance of every point's k-th neighbour, without any hull.
+
+    Parameters and errors are those of `hull_densities`.
+    """
+    return _solve(points, rows, k, None, threads, None, None, None)
+
+
+def _solve(
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    k: int,
+    queries: NDArray[np.bool_] | None,
+    threads: int,
+    on_progress: Callable[[int], None] | None,
+    density: NDArray[np.float64] | None,
+    neighbours: NDArray[np.int64] | None,
+) -> NDArray[np.float64]:
+    """Fill in what is given, and return the squared reaches."""
+    _check(points, rows, k, queries, threads)
+    count = len(points)
+    k = min(k, count)
+    leaves = -(-count // LEAF_SIZE)
+    squared_reach = np.full(count, np.nan)
+    compiled = kernels()
+    tree = (
+        points[:, 0].copy(),
+        points[:, 1].copy(),
+        points[:, 2].copy(),
+        rows.astype(np.int64),
+        np.arange(count, dtype=np.uint32),
+        np.empty((2 * leaves - 1, 6)),
+    )
+    compiled.grow(*tree)
+    wanted = np.ones(count, np.bool_) if queries is None else np.ascontiguousarray(queries)
+    outputs = (
+        np.empty(0) if density is None else density,
+        squared_reach,
+        np.empty((0, 0), np.int64) if neighbours is None else neighbours,
+    )
+
+    def solve_leaves(first: int) -> int:
+        end = min(first + _LEAVES_AT_A_TIME, leaves)
+        compiled.solve(*tree, k, first, end, wanted, *outputs)
+        return min(end * LEAF_SIZE, count) - first * LEAF_SIZE
+
+    _share_out(solve_leaves, range(0, leaves, _LEAVES_AT_A_TIME), threads, on_progress)
+    if density is not None:
+        _settle_exactly(points, rows, k, wanted, density)
+    return squared_reach
+
+
+def _check(
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    k: int,
+    queries: NDArray[np.bool_] | None,
+    threads: int,
+) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidPointsError(f"points: expected an (n, 3) array, found shape {points.shape}")
+    count = len(points)
+    if not _FEWEST <= count <= _MOST:
+        raise InvalidPointsError(
+            f"points: expected {_FEWEST} to {_MOST} of them, found {count}: fewer have no hull"
+        )
+    # The sum is finite exactly if no coordinate is NaN; min and max need no array of their own.
+    if not (points.min() >= -_LARGEST and points.max() <= _LARGEST):
+        raise InvalidPointsError(f"points: expected finite coordinates up to {_LARGEST:g}")
+    if rows.shape != (count,):
+        raise InvalidPointsError(f"rows: expected one for each point, found shape {rows.shape}")
+    if queries is not None and queries.shape != (count,):
+        raise InvalidPointsError(f"queries: expected one a point, found shape {queries.shape}")
+    if k < _FEWEST:
+        raise InvalidParametersError(f"k: expected at least {_FEWEST} neighbours, found {k}")
+    if threads < 1:
+        raise InvalidParametersError(f"threads: expected at least 1, found {threads}")
+
+
+def _share_out(
+    work: Callable[[int], int],
+    parts: range,
+    threads: int,
+    on_progress: Callable[[int], None] | None,
+) -> None:
+    """Do all parts, in as many threads; report in this one."""
+    if threads == 1:
+        for part in parts:
+            done = work(part)
+            if on_progress:
+                on_progress(done)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        waiting = iter(parts)
+        running: set[Future[int]] = set()
+        try:
+            for part in waiting:
+                running.add(pool.submit(work, part))
+                if len(running) < 2 * threads:
+                    continue
+                finished, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    if on_progress:
+                        on_progress(future.result())
+                    else:
+                        future.result()
+            for future in running:
+                done = future.result()
+                if on_progress:
+                    on_progress(done)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _settle_exactly(
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    k: int,
+    wanted: NDArray[np.bool_],
+    density: NDArray[np.float64],
+) -> None:
+    """Compute in exact arithmetic what no wrapping could be certified for: next to nothing."""
+    for at in np.flatnonzero(wanted & np.isnan(density)):
+        difference = points - points[at]
+        squared = (difference[:, 0] ** 2 + difference[:, 1] ** 2) + difference[:, 2] ** 2
+        neighbours = points[np.lexsort((rows, squared))[:k]]
+        volume = exact_hull_volume(neighbours)
+        density[at] = k / volume if volume > 0 else np.inf

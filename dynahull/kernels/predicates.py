@@ -1,0 +1,136 @@
+"""Which side of a plane a point of the grid lies on, exactly.
+
+With coordinates of at most 2^35 + 8 steps the determinant that decides is at most 2^110.6. In
+doubles it comes out within `UNCERTAIN` = 2^60 of the truth: differences of coordinates are exact;
+a component of the normal is off by at most 2^20; its product with a coordinate by 2^55.6; the four
+products and their sums by 2^59.3 together. A value beyond that has the true sign. A value within
+it shows that the true determinant, an integer, lies within 2^61: then arithmetic modulo 2^64, which
+is what 64-bit integers do, gives it exactly.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+from dynahull.kernels.frame import Neighbourhood
+
+UNCERTAIN = 2.0**105
+"""Largest error of the determinant in doubles, in cubic grid steps."""
+
+
+@njit(nogil=True)
+def is_strictly_above_all(
+    points: Neighbourhood,
+    count: int,
+    a: np.uint64,
+    b: np.uint64,
+    c: np.uint64,
+    normal_x: float,
+    normal_y: float,
+    normal_z: float,
+) -> bool:
+    """Tell whether all other points lie strictly below the plane of three of them.
+
+    Parameters
+    ----------
+    points : Neighbourhood
+        Set on the grid.
+    count : int
+        Number of points.
+    a, b, c : uint64
+        The three, anticlockwise seen from above.
+    normal_x, normal_y, normal_z : float
+        Normal of the plane, (b - a) x (c - a) in doubles.
+    """
+    x, y, z = points.x, points.y, points.z
+    offset = normal_x * x[a] + normal_y * y[a] + normal_z * z[a]
+    near = 0
+    for i in range(np.uint64(count)):
+        side = (normal_x * x[i] + normal_y * y[i] + normal_z * z[i]) - offset
+        near += 1 if side > -UNCERTAIN else 0
+    if near == 3:
+        # The three themselves.
+        return True
+    for i in range(np.uint64(count)):
+        side = (normal_x * x[i] + normal_y * y[i] + normal_z * z[i]) - offset
+        if side <= -UNCERTAIN or i in (a, b, c):
+            continue
+        if side > UNCERTAIN or exact_side(points, a, b, c, i) >= 0:
+            return False
+    return True
+
+
+SLIVER = 2.0**80
+"""Component of a normal below which its rounding, 2^51, would turn the plane noticeably."""
+
+_SPLIT = 1.5 * 2.0**78  # adding and subtracting it rounds to multiples of 2^26
+
+
+@njit(nogil=True)
+def accurate_minor(p: float, q: float, r: float, s: float) -> float:
+    """Return p s - q r of integers up to 2^51, to within 2^27 (Dekker 1971).
+
+    Halves of 26 bits have exact products, and exact differences of these.
+    """
+    p_high, q_high = (p + _SPLIT) - _SPLIT, (q + _SPLIT) - _SPLIT
+    r_high, s_high = (r + _SPLIT) - _SPLIT, (s + _SPLIT) - _SPLIT
+    p_low, q_low, r_low, s_low = p - p_high, q - q_high, r - r_high, s - s_high
+    high = p_high * s_high - q_high * r_high
+    middle = (p_high * s_low - q_high * r_low) + (p_low * s_high - q_low * r_high)
+    low = p_low * s_low - q_low * r_low
+    return high + (middle + low)
+
+
+@intrinsic
+def _determinant_sign(
+    context: Any, bx: Any, by: Any, bz: Any, cx: Any, cy: Any, cz: Any, dx: Any, dy: Any, dz: Any
+) -> Any:
+    """Return the sign of the determinant of three integer vectors, modulo 2^128."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        wide = ir.IntType(128)
+        b_x, b_y, b_z, c_x, c_y, c_z, d_x, d_y, d_z = (
+            builder.sext(value, wide) for value in arguments
+        )
+
+        def minor(p: Any, q: Any, r: Any, s: Any) -> Any:
+            return builder.sub(builder.mul(p, s), builder.mul(q, r))
+
+        determinant = builder.add(
+            builder.add(
+                builder.mul(minor(b_y, b_z, c_y, c_z), d_x),
+                builder.mul(minor(b_z, b_x, c_z, c_x), d_y),
+            ),
+            builder.mul(minor(b_x, b_y, c_x, c_y), d_z),
+        )
+        zero = wide(0)
+        above = builder.zext(builder.icmp_signed(">", determinant, zero), ir.IntType(64))
+        below = builder.zext(builder.icmp_signed("<", determinant, zero), ir.IntType(64))
+        return builder.sub(above, below)
+
+    return types.int64(*([types.int64] * 9)), generate
+
+
+@njit(nogil=True)
+def exact_side(
+    points: Neighbourhood, a: np.uint64, b: np.uint64, c: np.uint64, i: np.uint64
+) -> int:
+    """Return 1 for a point above the plane of `a`, `b` and `c`, -1 for one below, 0 for one on it.
+
+    Exact for points within `UNCERTAIN` of it in doubles, which is for the caller to know.
+    """
+    x, y, z = points.x, points.y, points.z
+    return _determinant_sign(
+        np.int64(x[b] - x[a]),
+        np.int64(y[b] - y[a]),
+        np.int64(z[b] - z[a]),
+        np.int64(x[c] - x[a]),
+        np.int64(y[c] - y[a]),
+        np.int64(z[c] - z[a]),
+        np.int64(x[i] - x[a]),
+        np.int64(y[i] - y[a]),
+        np.int64(z[i] - z[a]),
+    )
