@@ -158,8 +158,8 @@ def _has_copc_index(header: LasHeader) -> bool:
 def _notes(header: LasHeader) -> Iterator[str]:
     if _has_copc_index(header):
         yield (
-            f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info VLR and hierarchy EVLR) is left out, "
-            "since it describes where other points lie."
+            f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info "
+            "VLR and hierarchy EVLR) is left out, since it describes where other points lie."
         )
     if header.has_waveforms:
         if header.global_encoding & WAVEFORMS_EXTERNAL:
