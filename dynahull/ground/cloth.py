@@ -1,0 +1,70 @@
+"""Ground by cloth simulation (Zhang et al. 2016), from the package cloth-simulation-filter."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from dynahull.errors import MissingDependencyError
+from dynahull.ground.lattice import Booleans, Floats
+from dynahull.ground.parameters import ClothParameters
+
+__all__ = ["cloth_ground"]
+
+
+def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
+    """Tell which points lie on a cloth that falls on the map turned upside down.
+
+    Parameters
+    ----------
+    points : (N, 3) float64 array
+        Finite coordinates, metres.
+    p : ClothParameters
+        See there.
+
+    Raises
+    ------
+    MissingDependencyError
+        If the package is not installed.
+    """
+    try:
+        import CSF  # noqa: PLC0415 (optional)
+    except ImportError as error:
+        raise MissingDependencyError(
+            "ground.method: csf needs the package cloth-simulation-filter: "
+            "pip install 'dynahull-pipeline[csf]'"
+        ) from error
+    mask = np.zeros(len(points), np.bool_)
+    if len(points) == 0:
+        return mask
+    with _quiet_output():
+        filter_ = CSF.CSF()
+        filter_.params.bSloopSmooth = p.slope_smooth
+        filter_.params.cloth_resolution = p.cloth_resolution
+        filter_.params.rigidness = p.rigidness
+        filter_.params.class_threshold = p.class_threshold
+        filter_.params.time_step = p.time_step
+        filter_.params.interations = p.iterations  # the package's own spelling
+        # near the origin: the cloth's lattice begins at the lowest corner anyway
+        filter_.setPointCloud(np.ascontiguousarray(points - points.min(axis=0)))
+        ground, others = CSF.VecInt(), CSF.VecInt()
+        filter_.do_filtering(ground, others, False)
+    mask[np.fromiter(ground, np.int64, len(ground))] = True
+    return mask
+
+
+@contextmanager
+def _quiet_output() -> Iterator[None]:
+    """Send what compiled code prints nowhere."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(nowhere)

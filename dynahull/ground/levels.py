@@ -1,0 +1,108 @@
+"""Levels: layers of points with free height above them, column by column."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from dynahull.ground.lattice import Booleans, Floats, Integers
+
+__all__ = ["Levels", "find_levels"]
+
+_FEWEST_FOR_SPREAD = 3
+
+
+class Levels(NamedTuple):
+    """Levels sorted by column, ascending within a column."""
+
+    heights: Floats
+    """Mean height of a level's points, metres, (L,)."""
+    spreads: Floats
+    """Standard deviation of their heights, metres, (L,); -1 where there are fewer than three."""
+    slots: Integers
+    """Slot of the level's column, (L,)."""
+    bare: Booleans
+    """Whether the level is the lowest of its column and has free height above it, (L,)."""
+
+    def keep(self, mask: Booleans) -> "Levels":
+        """Return the levels where `mask` holds."""
+        return Levels(self.heights[mask], self.spreads[mask], self.slots[mask], self.bare[mask])
+
+
+def find_levels(
+    columns: Floats, starts: Integers, thickness: float, clearance: float, clutter: float
+) -> Levels:
+    """Find the levels of every column.
+
+    A level is a layer of at most `thickness` metres above whose top the next `clearance` metres
+    hold no more than `clutter` times its own points; of layers that overlap the fullest stands,
+    the lowest if equal. The lowest layer of a column is a level in any case: what stands on a
+    floor hides none of the lowest floor.
+
+    Parameters
+    ----------
+    columns : (N,) float64 array
+        Heights, metres, column by column, ascending within each.
+    starts : (slots + 1,) int64 array
+        Where each column begins.
+    thickness, clearance : float
+        Metres.
+    clutter : float
+        Share.
+    """
+    return Levels(*_find_levels(columns, starts, thickness, clearance, clutter))
+
+
+@njit(cache=True, nogil=True)
+def _find_levels(
+    columns: Floats, starts: Integers, thickness: float, clearance: float, clutter: float
+) -> tuple[Floats, Floats, Integers, Booleans]:
+    heights = np.empty(len(columns), np.float64)
+    spreads = np.empty(len(columns), np.float64)
+    slots = np.empty(len(columns), np.int64)
+    bare = np.zeros(len(columns), np.bool_)
+    found = 0
+    for slot in range(len(starts) - 1):
+        first, end = starts[slot], starts[slot + 1]
+        if first == end:
+            continue
+        top = first
+        while top < end and columns[top] <= columns[first] + thickness:
+            top += 1
+        kept_first, kept_top, kept_bare = first, top, False
+        top, above = first, first
+        for bottom in range(first, end):
+            while top < end and columns[top] <= columns[bottom] + thickness:
+                top += 1
+            above = max(above, top)
+            while above < end and columns[above] <= columns[top - 1] + clearance:
+                above += 1
+            if above - top > clutter * (top - bottom):
+                continue
+            if columns[bottom] > columns[kept_top - 1]:
+                heights[found], spreads[found] = _mean_and_spread(columns[kept_first:kept_top])
+                slots[found], bare[found] = slot, kept_bare
+                found += 1
+                kept_first, kept_top, kept_bare = bottom, top, False
+            elif top - bottom > kept_top - kept_first:
+                kept_first, kept_top = bottom, top
+            kept_bare = kept_bare or bottom == first
+        heights[found], spreads[found] = _mean_and_spread(columns[kept_first:kept_top])
+        slots[found], bare[found] = slot, kept_bare
+        found += 1
+    return heights[:found].copy(), spreads[:found].copy(), slots[:found].copy(), bare[:found].copy()
+
+
+@njit(cache=True, nogil=True)
+def _mean_and_spread(layer: Floats) -> tuple[float, float]:
+    # relative to the lowest point: the result does not lose digits far from z = 0
+    total = 0.0
+    squares = 0.0
+    for height in layer:
+        rise = height - layer[0]
+        total += rise
+        squares += rise * rise
+    mean = total / len(layer)
+    if len(layer) < _FEWEST_FOR_SPREAD:
+        return layer[0] + mean, -1.0
+    return layer[0] + mean, np.sqrt(max(squares / len(layer) - mean * mean, 0.0))

@@ -1,0 +1,174 @@
+"""Parameters of the ground step: one method is chosen, each has a section of its own."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["ClothParameters", "GroundParameters", "SlopeParameters"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SlopeParameters(_Section):
+    """The ground from the slope of the surface under each point.
+
+    The defaults suit maps of buildings and streets seen from the ground; `configs/outdoor.yaml`
+    holds those for airborne scans of open country.
+    """
+
+    cell: float = Field(
+        default=0.25, gt=0, le=10, description="Side of a lattice cell, metres (0 < cell <= 10)."
+    )
+    level: float = Field(
+        default=0.15,
+        gt=0,
+        le=5,
+        description="Thickness of a floor's layer of points, metres (0 < level <= 5).",
+    )
+    clearance: float | None = Field(
+        default=1.8,
+        gt=0,
+        le=100,
+        description="Free height above a floor, metres (0 < clearance <= 100). null: one storey, "
+        "the lowest points, as in airborne scans; `clutter`, `breadth` and `storey_radius` then "
+        "mean nothing.",
+    )
+    clutter: float = Field(
+        default=0.2,
+        ge=0,
+        le=1,
+        description="Points tolerated in the free height, as a share of those of the floor "
+        "beneath (0 to 1): the ghosts of those who walked there.",
+    )
+    flatness: float = Field(
+        default=0.5,
+        ge=0,
+        le=1,
+        description="Share of the occupied cells about a floor's cell that must continue it "
+        "(0 to 1).",
+    )
+    continuity: float = Field(
+        default=0.3,
+        gt=0,
+        le=10,
+        description="Rise over distance within which a cell continues its neighbour "
+        "(0 < continuity <= 10).",
+    )
+    breadth: float = Field(
+        default=0.8,
+        ge=0,
+        le=2,
+        description="Least extent across of the cells that continue a floor, variance in cells "
+        "squared (0 to 2; a line has 0): the foot of a wall is no floor.",
+    )
+    storey_radius: float = Field(
+        default=3.5,
+        gt=0,
+        le=100,
+        description="Radius within which something must stand on an upper floor, lest it be a "
+        "ceiling, metres (0 < storey_radius <= 100).",
+    )
+    window: float = Field(
+        default=2.0,
+        gt=0,
+        le=100,
+        description="Half-width of the widest object told from the ground, metres "
+        "(0 < window <= 100).",
+    )
+    slope: float = Field(
+        default=0.3,
+        gt=0,
+        le=5,
+        description="Rise over distance (0 < slope <= 5): what stands out by more than "
+        "step + slope * r, and is as wide as a disk of radius r, is an object.",
+    )
+    step: float = Field(
+        default=0.05,
+        ge=0,
+        le=5,
+        description="Height of a step that is still ground, metres (0 to 5).",
+    )
+    extension: float = Field(
+        default=1.0,
+        gt=0,
+        le=100,
+        description="How far the ground goes on under walls and furniture, metres "
+        "(0 < extension <= 100).",
+    )
+    steepest: float = Field(
+        default=0.45,
+        gt=0,
+        le=100,
+        description="Rise over distance of the steepest surface that is ground "
+        "(0 < steepest <= 100).",
+    )
+    tolerance: float = Field(
+        default=0.02,
+        gt=0,
+        le=10,
+        description="Distance from the ground's surface within which points are ground, metres "
+        "(0 < tolerance <= 10), before the next two are added.",
+    )
+    noise_tolerance: float = Field(
+        default=2.0,
+        ge=0,
+        le=10,
+        description="Tolerance added per metre of the floor's own noise, the standard deviation "
+        "of its points about the local plane (0 to 10).",
+    )
+    slope_tolerance: float = Field(
+        default=0.1,
+        ge=0,
+        le=10,
+        description="Tolerance added per unit of the surface's slope, metres (0 to 10).",
+    )
+    tolerance_limit: float = Field(
+        default=0.15,
+        gt=0,
+        le=100,
+        description="The three together at most, metres (0 < limit <= 100).",
+    )
+
+
+class ClothParameters(_Section):
+    """Cloth simulation (Zhang et al. 2016), by the package cloth-simulation-filter."""
+
+    cloth_resolution: float = Field(
+        default=0.5,
+        gt=0,
+        le=100,
+        description="Distance between the cloth's particles, metres (0 to 100).",
+    )
+    rigidness: Literal[1, 2, 3] = Field(
+        default=3, description="Stiffness of the cloth: 1 steep slopes, 2 terraces, 3 flat ground."
+    )
+    class_threshold: float = Field(
+        default=0.1,
+        gt=0,
+        le=100,
+        description="Distance from the cloth within which points are ground, metres (0 to 100).",
+    )
+    slope_smooth: bool = Field(
+        default=False, description="Fit the cloth to steep slopes afterwards."
+    )
+    time_step: float = Field(
+        default=0.65, gt=0, le=10, description="Time step of the simulation (0 to 10)."
+    )
+    iterations: int = Field(
+        default=500, ge=1, le=100_000, description="Steps of the simulation, at most."
+    )
+
+
+class GroundParameters(_Section):
+    """How the ground is found."""
+
+    method: Literal["slope", "csf", "none", "las_class"] = Field(
+        default="slope",
+        description="`slope`: by the slope of the local surface. `csf`: cloth simulation (an "
+        "optional package, not local: the map is one piece). `none`: no point is ground. "
+        "`las_class`: points of LAS class 2 are ground.",
+    )
+    slope: SlopeParameters = Field(default=SlopeParameters(), description="For `method: slope`.")
+    csf: ClothParameters = Field(default=ClothParameters(), description="For `method: csf`.")

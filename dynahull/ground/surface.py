@@ -1,0 +1,164 @@
+"""The ground's surface: a plane for each cell and storey, fitted to the ground levels near it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from dynahull.ground.lattice import (
+    Floats,
+    Integers,
+    Lattice,
+    disk_offsets,
+    slot_at,
+    starts_of,
+)
+from dynahull.ground.levels import Levels
+
+__all__ = ["HEIGHT", "NOISE", "SLOPE_X", "SLOPE_Y", "Surface", "fit_surface"]
+
+HEIGHT, SLOPE_X, SLOPE_Y, NOISE = range(4)
+"""Columns of `Surface.planes`."""
+
+_SUPPORT = 12
+"""Levels that a plane is fitted to, at most: the nearest."""
+
+_STOREYS = 16
+"""Storeys above each other in one column, at most; further ones are not fitted."""
+
+_RIDGE = 0.1
+"""Cells squared. Holds a plane level where its levels lie on a line or on one side."""
+
+_SMALLEST_VARIANCE = 1e-6
+"""Metres squared; noise beneath a millimetre is not told apart."""
+
+
+class Surface(NamedTuple):
+    """Planes by cell, from the lowest storey up."""
+
+    planes: Floats
+    """Height at the cell's centre, metres; slope along x and y; noise, metres; (P, 4)."""
+    starts: Integers
+    """Where the planes of each slot begin, (slots + 1,)."""
+
+
+def fit_surface(
+    levels: Levels, lattice: Lattice, occupied: Integers, extension: float, storey: float
+) -> Surface:
+    """Fit planes to the ground levels near each occupied cell.
+
+    Parameters
+    ----------
+    levels : Levels
+        Those of the ground.
+    lattice : Lattice
+        Where their columns are.
+    occupied : (C,) int64 array
+        Slots to fit planes for, ascending.
+    extension : float
+        How far from a cell levels count, metres.
+    storey : float
+        Levels closer in height than this belong to one plane, metres.
+    """
+    planes, counts = _fit_planes(
+        levels.heights,
+        levels.spreads,
+        starts_of(levels.slots, lattice.slot_count),
+        lattice.neighbours,
+        occupied,
+        disk_offsets(extension / lattice.cell),
+        lattice.cell,
+        storey,
+    )
+    starts = np.zeros(lattice.slot_count + 1, np.int64)
+    starts[occupied + 1] = counts
+    return Surface(planes, np.cumsum(starts))
+
+
+@njit(cache=True, nogil=True)
+def _fit_planes(
+    heights: Floats,
+    spreads: Floats,
+    starts: Integers,
+    neighbours: Integers,
+    wanted: Integers,
+    offsets: Integers,
+    cell: float,
+    storey: float,
+) -> tuple[Floats, Integers]:
+    planes = np.empty((len(wanted) + _STOREYS, 4), np.float64)
+    counts = np.zeros(len(wanted), np.int64)
+    sums = np.empty((_STOREYS, 13), np.float64)
+    bases = np.empty(_STOREYS, np.float64)
+    found = 0
+    for place in range(len(wanted)):
+        storeys = 0
+        for k in range(len(offsets)):
+            slot = slot_at(wanted[place], offsets[k, 0], offsets[k, 1], neighbours)
+            if slot < 0:
+                continue
+            for level in range(starts[slot], starts[slot + 1]):
+                group = 0
+                while group < storeys and abs(heights[level] - bases[group]) > storey:
+                    group += 1
+                if group == _STOREYS:
+                    continue
+                if group == storeys:
+                    storeys += 1
+                    bases[group] = heights[level]
+                    sums[group] = 0.0
+                if sums[group, 12] < _SUPPORT:
+                    rise = heights[level] - bases[group]
+                    _add_level(sums[group], offsets[k], rise, spreads[level])
+        if found + storeys > len(planes):
+            larger = np.empty((2 * len(planes), 4), np.float64)
+            larger[:found] = planes[:found]
+            planes = larger
+        for group in np.argsort(bases[:storeys]):
+            _solve(sums[group], bases[group], cell, planes[found])
+            found += 1
+        counts[place] = storeys
+    return planes[:found].copy(), counts
+
+
+@njit(cache=True, nogil=True)
+def _add_level(s: Floats, offset: Integers, z: float, spread: float) -> None:
+    """Add a level to the weighted sums of its storey; horizontal lengths in cells."""
+    u, v = np.float64(offset[0]), np.float64(offset[1])
+    w = 1.0 / (u * u + v * v + 0.5)
+    s[0] += w
+    s[1] += w * u
+    s[2] += w * v
+    s[3] += w * z
+    s[4] += w * u * u
+    s[5] += w * u * v
+    s[6] += w * v * v
+    s[7] += w * u * z
+    s[8] += w * v * z
+    s[9] += w * z * z
+    if spread >= 0:
+        s[10] += w
+        s[11] += w / (spread * spread + _SMALLEST_VARIANCE)
+    s[12] += 1.0
+
+
+@njit(cache=True, nogil=True)
+def _solve(s: Floats, base: float, cell: float, plane: Floats) -> None:
+    """Weighted least squares about the weighted mean, with a ridge on the slopes."""
+    mu, mv, mz = s[1] / s[0], s[2] / s[0], s[3] / s[0]
+    uu = s[4] / s[0] - mu * mu + _RIDGE
+    uv = s[5] / s[0] - mu * mv
+    vv = s[6] / s[0] - mv * mv + _RIDGE
+    uz = s[7] / s[0] - mu * mz
+    vz = s[8] / s[0] - mv * mz
+    determinant = uu * vv - uv * uv
+    a = (uz * vv - vz * uv) / determinant
+    b = (vz * uu - uz * uv) / determinant
+    plane[HEIGHT] = base + mz - a * mu - b * mv
+    plane[SLOPE_X] = a / cell
+    plane[SLOPE_Y] = b / cell
+    variance = max(s[9] / s[0] - mz * mz - a * uz - b * vz, 0.0)
+    if s[11] > 0:
+        # the harmonic mean: a cell that holds the foot of a wall does not widen the floor's noise
+        variance += s[10] / s[11]
+    plane[NOISE] = np.sqrt(variance)
