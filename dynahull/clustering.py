@@ -1,0 +1,119 @@
+"""Step 2: clusters of the ground-free points (section III of the paper; MiniBatchKMeans).
+
+The model is fitted on a sample that row numbers decide, and a point belongs to its nearest
+centroid. Both are functions of the points and their row numbers alone, so that a map cut into
+tiles gets the clusters that the whole map gets.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from dynahull.parameters import ClusteringParameters
+
+_ASSIGNMENT_BATCH = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class Clusters:
+    """A fitted model.
+
+    Attributes
+    ----------
+    centroids : (count, 3) float64 array
+        In the coordinates of the map; no rows where there was nothing to cluster.
+    """
+
+    centroids: NDArray[np.float64]
+
+    def nearest(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Return the index of each point's nearest centroid, the lower one of two equally near.
+
+        Parameters
+        ----------
+        points : (n, 3) float64 array
+
+        Returns
+        -------
+        (n,) int32 array
+        """
+        nearest = np.empty(len(points), np.int32)
+        for start in range(0, len(points), _ASSIGNMENT_BATCH):
+            batch = points[start : start + _ASSIGNMENT_BATCH]
+            # Differences, not the expanded square: exact to the last bit in any batch, and far
+            # from the origin as well.
+            squared = np.stack([_squared_distance(batch, centre) for centre in self.centroids])
+            nearest[start : start + _ASSIGNMENT_BATCH] = np.argmin(squared, axis=0)
+        return nearest
+
+
+def sample_rows(rows: NDArray[np.int64], size: int, seed: int) -> NDArray[np.intp]:
+    """Choose at most `size` points by their row numbers.
+
+    Every row number is given a pseudo-random rank (SplitMix64, Steele et al. 2014, a bijection);
+    the lowest ranks are taken. A sample of a part is thus the part of a sample.
+
+    Parameters
+    ----------
+    rows : (n,) int64 array
+        Distinct row numbers.
+    size : int
+        Points wanted.
+    seed : int
+        Another seed gives another sample.
+
+    Returns
+    -------
+    (min(n, size),) intp array
+        Indices into `rows`, in the order of the row numbers.
+    """
+    chosen = np.arange(len(rows))
+    if len(rows) > size:
+        chosen = np.argpartition(_random_rank(rows, seed), size - 1)[:size]
+    return chosen[np.argsort(rows[chosen])]
+
+
+def fit_clusters(sample: NDArray[np.float64], parameters: ClusteringParameters) -> Clusters:
+    """Fit MiniBatchKMeans on a sample of the ground-free points.
+
+    Parameters
+    ----------
+    sample : (n, 3) float64 array
+        In the order of row numbers.
+    parameters : ClusteringParameters
+
+    Returns
+    -------
+    Clusters
+        As many as asked for, or as there are distinct points in the sample if those are fewer.
+    """
+    distinct = len(np.unique(sample, axis=0))
+    count = min(parameters.count, distinct)
+    if count == 0:
+        return Clusters(np.empty((0, 3)))
+    from sklearn.cluster import MiniBatchKMeans  # noqa: PLC0415 (a second of import time)
+
+    # scikit-learn expands the squared distance, which loses the digits of far coordinates.
+    origin = np.floor(sample.mean(axis=0))
+    model = MiniBatchKMeans(count, random_state=parameters.seed, n_init=3, batch_size=4096)
+    with threadpool_limits(1):
+        model.fit(sample - origin)
+    return Clusters(model.cluster_centers_ + origin)
+
+
+def _squared_distance(
+    points: NDArray[np.float64], centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    dx, dy, dz = (points[:, axis] - centre[axis] for axis in range(3))
+    return np.asarray((dx * dx + dy * dy) + dz * dz)
+
+
+def _random_rank(rows: NDArray[np.int64], seed: int) -> NDArray[np.uint64]:
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    mixed = (rows.astype(np.uint64) + np.uint64(1)) * golden
+    mixed ^= np.asarray(seed * int(golden) % 2**64, np.uint64)
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(mixed ^ (mixed >> np.uint64(31)))

@@ -1,0 +1,114 @@
+"""Parameters of the method, one small model a step; the same names in YAML and in Python."""
+
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from dynahull.errors import InvalidParametersError
+from dynahull.ground.parameters import GroundParameters
+
+__all__ = [
+    "ClusteringParameters",
+    "DensityParameters",
+    "GroundParameters",
+    "MethodParameters",
+    "NeighbourParameters",
+    "RemovalParameters",
+]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ClusteringParameters(_Section):
+    """MiniBatchKMeans on the ground-free points."""
+
+    count: int = Field(5, ge=1, le=10_000, description="Number of clusters.")
+    scope: Literal["map", "tile"] = Field(
+        "map",
+        description="`map`: one model for the whole map. `tile`: one model per tile, for maps so "
+        "large that a few clusters mean nothing; in memory the map is one tile.",
+    )
+    seed: int = Field(0, ge=0, lt=2**32, description="Seed of the sample and of the model.")
+    sample: int = Field(
+        100_000,
+        ge=1_000,
+        description="Points the model is fitted on, at most; drawn by row number, so that the "
+        "sample does not depend on how the map is cut.",
+    )
+
+
+class NeighbourParameters(_Section):
+    """The neighbourhood whose hull is measured."""
+
+    k: int = Field(75, ge=4, le=1_000, description="Nearest neighbours, the point itself included.")
+
+
+class DensityParameters(_Section):
+    """Where and how k / v is computed."""
+
+    device: Literal["cpu", "reference"] = Field(
+        "cpu",
+        description="`cpu`: compiled kernels. `reference`: SciPy's k-d tree and Qhull, the plain "
+        "version they are tested against, some twenty times slower.",
+    )
+
+
+class RemovalParameters(_Section):
+    """How much of each cluster goes (Eq. 1), and how the threshold is found."""
+
+    min_percent: float = Field(
+        5.0, ge=0, le=100, description="Percent removed from the smallest cluster."
+    )
+    max_percent: float = Field(
+        20.0, ge=0, le=100, description="Percent removed from the largest cluster."
+    )
+    threshold: Literal["rank", "stepped"] = Field(
+        "rank",
+        description="`rank`: exactly the share R_i, least dense first. `stepped`: the threshold "
+        "rises from zero in equal steps until R_i is reached, as the paper words it.",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min_percent > self.max_percent:
+            raise ValueError(
+                f"min_percent ({self.min_percent:g}) is above max_percent ({self.max_percent:g})"
+            )
+        return self
+
+
+class MethodParameters(_Section):
+    """All parameters of the method, by the steps of Algorithm 1.
+
+    The defaults are those of the paper: k = 75, five clusters, 5 to 20 percent removed.
+    """
+
+    ground: GroundParameters = GroundParameters()
+    max_height: float | None = Field(
+        None,
+        gt=0,
+        description="Metres above the local ground; higher points are set aside, unscored and "
+        "kept. null: no limit.",
+    )
+    clustering: ClusteringParameters = ClusteringParameters()
+    neighbours: NeighbourParameters = NeighbourParameters()
+    density: DensityParameters = DensityParameters()
+    removal: RemovalParameters = RemovalParameters()
+
+    @classmethod
+    def of(cls, sections: dict[str, Any]) -> Self:
+        """Build from sections given as models or as plain dictionaries.
+
+        Raises
+        ------
+        InvalidParametersError
+            When a name or a value is not allowed.
+        """
+        try:
+            return cls.model_validate(sections)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise InvalidParametersError(f"{place}: {first['msg']}") from error

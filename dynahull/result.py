@@ -1,0 +1,76 @@
+"""What the method returns: labels, densities, clusters, and what Eq. 1 made of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+
+NO_CLUSTER = -1
+"""The cluster of points that were not clustered."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterSummary:
+    """What Eq. 1 made of one cluster.
+
+    Attributes
+    ----------
+    index : int
+        The cluster, as in `CleaningResult.cluster`.
+    centroid : tuple of float
+        x, y, z in the coordinates of the map.
+    count : int
+        N_i, points in the cluster.
+    percentage : float
+        R_i, the share to remove, in percent.
+    threshold : float or None
+        Density of the densest point removed (`rank`), or the threshold reached (`stepped`).
+    removed : int
+        Points removed.
+    """
+
+    index: int
+    centroid: tuple[float, float, float]
+    count: int
+    percentage: float
+    threshold: float | None
+    removed: int
+
+
+@dataclass(frozen=True, slots=True)
+class CleaningResult:
+    """The labels of a map, and what they were decided from.
+
+    Attributes
+    ----------
+    labels : (N,) uint8 array
+        A `Label` for every point.
+    density : (N,) float64 array
+        Points per cubic metre; infinite where the hull has no volume, NaN where not scored.
+    cluster : (N,) int32 array
+        Index of the cluster, -1 where not clustered.
+    clusters : tuple of ClusterSummary
+        One for each cluster, in the order of their indices.
+    """
+
+    labels: NDArray[np.uint8]
+    density: NDArray[np.float64]
+    cluster: NDArray[np.int32]
+    clusters: tuple[ClusterSummary, ...]
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """The points that stay in the map: all but the dynamic ones, as an (N,) mask."""
+        return np.asarray(self.labels != Label.DYNAMIC)
+
+    @property
+    def removal_percentages(self) -> NDArray[np.float64]:
+        """R_i of every cluster, in percent."""
+        return np.array([cluster.percentage for cluster in self.clusters])
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of points of each label, by its name."""
+        numbers = np.bincount(self.labels, minlength=len(Label))
+        return {label.title: int(numbers[label]) for label in Label}

@@ -1,0 +1,174 @@
+"""The command line. Heavy imports live inside the commands, so that `--help` answers at once."""
+
+import logging
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+EXIT_FAILURE = 1
+EXIT_USAGE = 2
+EXIT_BAD_INPUT = 3
+EXIT_INTERRUPTED = 130
+
+logger = logging.getLogger("dynahull")
+
+app = typer.Typer(
+    name="dynahull-pipeline",
+    help="Remove the ghosts of moving things from a finished LiDAR map (DynaHull, arXiv "
+    "2401.07541).",
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 a map cannot be read.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Maps = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="MAP...",
+        help="One or more files, a folder, or a glob: together they are one map. "
+        "PCD, LAS, LAZ, COPC, PLY, Parquet, npy, npz.",
+        show_default=False,
+    ),
+]
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="DIR", help="Output folder. [default: <map>_dynahull]"),
+]
+ConfigurationSource = Annotated[
+    str | None,
+    typer.Option(
+        "-c",
+        "--config",
+        metavar="CONFIG.yaml",
+        help="Configuration file, or one of: paper, indoor, outdoor.",
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as neighbours.k=50."),
+]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version  # noqa: PLC0415
+
+        typer.echo(version("dynahull-pipeline"))
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Take the options of every command."""
+
+
+@app.command("run")
+def run_command(
+    maps: Maps,
+    output: Output = None,
+    config: ConfigurationSource = None,
+    settings: Settings = None,
+    labels: Annotated[
+        bool,
+        typer.Option("--labels", help="Write label, cluster and density of every point as well."),
+    ] = False,
+) -> None:
+    """Clean a map: write it without its ghosts, and the ghosts beside it."""
+    from pipeline.configuration import load_configuration  # noqa: PLC0415
+    from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.run import run  # noqa: PLC0415
+
+    wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
+    configuration = load_configuration(config, wanted)
+    with watching() as observer:
+        report = run(maps, output, configuration, observer)
+    typer.echo(report.summary())
+
+
+@app.command("info")
+def info_command(
+    maps: Maps,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show what a map holds: format, points, fields, bounds, CRS, non-finite points, duplicates."""
+    from pipeline.info import inspect_map  # noqa: PLC0415
+
+    info = inspect_map(maps)
+    typer.echo(info.model_dump_json(indent=2) if as_json else info.to_text())
+
+
+@app.command("simulate")
+def simulate_command(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the map.")
+    ] = Path("simulated"),
+    settings: Settings = None,
+) -> None:
+    """Make a small map with ghosts in it: a hall with furniture and people, seen by a robot."""
+    from pipeline.configuration import load_parameters  # noqa: PLC0415
+    from pipeline.simulation import (  # noqa: PLC0415
+        SimulationParameters,
+        simulate,
+        write_simulated_map,
+    )
+
+    parameters = load_parameters(SimulationParameters, None, settings or [])
+    simulated = simulate(parameters)
+    write_simulated_map(simulated, output)
+    typer.echo(f"written: {output / 'map.pcd'} and its truth beside it")
+
+
+def main() -> NoReturn:
+    """Run the command line, and turn every error that is expected into one line."""
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr
+    )
+    # A scheduler stops a job with SIGTERM: leave through the same door as Ctrl-C, tidily.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        app()
+    except SystemExit as ended:
+        if ended.code == EXIT_INTERRUPTED:  # Typer's own end of Ctrl-C, which says nothing
+            _fail("interrupted", EXIT_INTERRUPTED)
+        raise
+    except Exception as error:
+        code = _expected_exit_code(error)
+        if code is None:
+            logger.exception("this is a defect of dynahull-pipeline; please report it")
+            sys.exit(EXIT_FAILURE)
+        _fail(" ".join(str(error).split()) or type(error).__name__, code)
+    sys.exit(0)
+
+
+def _expected_exit_code(error: Exception) -> int | None:
+    """Return the exit code of an error that users can act on, None for a defect."""
+    from dynahull.errors import (  # noqa: PLC0415
+        DynaHullError,
+        InvalidParametersError,
+        MissingClassificationError,
+    )
+    from pipeline.errors import ConfigurationError, PipelineError  # noqa: PLC0415
+    from tiling.errors import TilingError  # noqa: PLC0415
+
+    if isinstance(error, ConfigurationError | InvalidParametersError):
+        return EXIT_USAGE
+    if isinstance(error, TilingError | MissingClassificationError):
+        return EXIT_BAD_INPUT
+    if isinstance(error, DynaHullError | PipelineError | OSError | MemoryError):
+        return EXIT_FAILURE
+    return None
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(code)

@@ -1,0 +1,21 @@
+"""The errors of the product: one base class, flat subclasses, one line each."""
+
+
+class PipelineError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class ConfigurationError(PipelineError):
+    """A configuration file, or a `--set`, names an unknown key or gives a value not allowed."""
+
+
+class OutputError(PipelineError):
+    """The results cannot be written where they were asked for."""
+
+
+class InputChangedError(PipelineError):
+    """A map file changed while it was being cleaned."""
+
+
+class LostPointsError(PipelineError):
+    """The outputs together do not hold the points of the input: nothing is published."""

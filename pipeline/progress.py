@@ -1,0 +1,170 @@
+"""Progress for people and for logs: one interface, a bar at a terminal, plain lines elsewhere."""
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import Protocol
+
+logger = logging.getLogger("dynahull")
+
+_LINE_EVERY = 10.0
+"""Seconds between the lines of a log."""
+
+
+class Display(Protocol):
+    """Shows one stage at a time."""
+
+    def begin(self, stage: str, total: int) -> None:
+        """Show a stage of `total` points."""
+
+    def update(self, done: int) -> None:
+        """Show how many points of the stage are done."""
+
+    def end(self) -> None:
+        """Take the stage away, finished or not."""
+
+
+class StageObserver:
+    """Keeps the seconds of each stage and the warnings, and drives a display.
+
+    An `Observer` in the sense of `dynahull.progress`.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        Wall time of each stage, in the order of their beginning.
+    warnings : list of str
+        All warnings, in order.
+    """
+
+    def __init__(self, display: Display) -> None:
+        self.seconds: dict[str, float] = {}
+        self.warnings: list[str] = []
+        self._display = display
+        self._stage: str | None = None
+        self._begun = 0.0
+        self._done = 0
+
+    def stage(self, name: str, total: int) -> None:
+        """Begin a stage; the one before it has ended."""
+        self.finish()
+        self._stage, self._begun, self._done = name, monotonic(), 0
+        self._display.begin(name, total)
+
+    def advance(self, points: int) -> None:
+        """Count points of the present stage as done."""
+        self._done += points
+        self._display.update(self._done)
+
+    def warn(self, message: str) -> None:
+        """Keep a warning and log it."""
+        self.warnings.append(message)
+        logger.warning(message)
+
+    def finish(self) -> None:
+        """End the present stage, if there is one."""
+        if self._stage is not None:
+            self._display.end()
+            elapsed = monotonic() - self._begun
+            self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + elapsed
+            self._stage = None
+
+
+class LogDisplay:
+    """Plain lines, now and then: for logs, cron, and pipes."""
+
+    def __init__(self) -> None:
+        self._stage, self._total, self._done = "", 0, 0
+        self._begun = self._said = 0.0
+
+    def begin(self, stage: str, total: int) -> None:
+        """Log the stage."""
+        self._stage, self._total, self._done = stage, total, 0
+        self._begun = self._said = monotonic()
+        logger.info("%s: %s points", stage, f"{total:,}")
+
+    def update(self, done: int) -> None:
+        """Log the rate and the time left, if the last line is some seconds old."""
+        self._done = done
+        now = monotonic()
+        if now - self._said < _LINE_EVERY or not done:
+            return
+        self._said = now
+        rate = done / (now - self._begun)
+        left = max(self._total - done, 0) / rate
+        share = min(done / self._total, 1.0) if self._total else 1.0
+        logger.info(
+            "%s: %.0f %%, %s points/s, %.0f s left", self._stage, 100 * share, f"{rate:,.0f}", left
+        )
+
+    def end(self) -> None:
+        """Log the time the stage took."""
+        logger.info("%s: done in %.1f s", self._stage, monotonic() - self._begun)
+
+
+class TerminalDisplay:
+    """A bar with the stage, the rate and the time left."""
+
+    def __init__(self) -> None:
+        from rich.console import Console  # noqa: PLC0415 (only a terminal needs it)
+        from rich.progress import (  # noqa: PLC0415
+            BarColumn,
+            Progress,
+            TaskProgressColumn,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._progress = Progress(
+            TextColumn("{task.description:<12}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[rate]:>18}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._task = self._progress.add_task("", rate="")
+        self._progress.remove_task(self._task)
+        self._begun = 0.0
+
+    def begin(self, stage: str, total: int) -> None:
+        """Show a new bar below those that are done."""
+        self._progress.start()
+        self._task = self._progress.add_task(stage, total=total, rate="")
+        self._begun = monotonic()
+
+    def update(self, done: int) -> None:
+        """Move the bar."""
+        rate = done / max(monotonic() - self._begun, 1e-3)
+        self._progress.update(self._task, completed=done, rate=f"{rate:,.0f} points/s")
+
+    def end(self) -> None:
+        """Leave the bar as it is."""
+        self._progress.stop_task(self._task)
+        self._progress.refresh()
+
+    def close(self) -> None:
+        """Give the terminal back."""
+        self._progress.stop()
+
+
+@contextmanager
+def watching() -> Iterator[StageObserver]:
+    """Observe a run: with a bar at a terminal, with plain lines on standard error elsewhere."""
+    if not sys.stderr.isatty():
+        observer = StageObserver(LogDisplay())
+        yield observer
+        observer.finish()
+        return
+    display = TerminalDisplay()
+    observer = StageObserver(display)
+    try:
+        yield observer
+        observer.finish()
+    finally:
+        display.close()

@@ -1,0 +1,182 @@
+"""What a run did, as `run.json` and as the lines printed at its end."""
+
+import json
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from dynahull import CleaningResult
+from dynahull.result import ClusterSummary
+from pipeline.configuration import Configuration
+from pipeline.machine import peak_memory
+from pipeline.outputs import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE, OutputNames
+from pipeline.progress import StageObserver
+from tiling.formats.collection import MapCollection
+
+
+class InputFile(BaseModel):
+    """One file of the map."""
+
+    path: str
+    format: str
+    size_bytes: int
+    points: int
+    first_row: int
+    static: str
+    dynamic: str
+
+
+class ClusterReport(BaseModel):
+    """Eq. 1 for one cluster: N_i, R_i in percent, the threshold, and the points removed."""
+
+    index: int
+    centroid: tuple[float, float, float]
+    count: int
+    removal_percent: float
+    threshold: float | None
+    removed: int
+
+    @classmethod
+    def of(cls, summary: ClusterSummary) -> "ClusterReport":
+        """Take over what the method says of a cluster."""
+        return cls(
+            index=summary.index,
+            centroid=summary.centroid,
+            count=summary.count,
+            removal_percent=summary.percentage,
+            threshold=summary.threshold,
+            removed=summary.removed,
+        )
+
+
+class RunReport(BaseModel):
+    """Everything a run has to say.
+
+    Attributes
+    ----------
+    version : str
+        Of this product.
+    finished : str
+        Date and time, UTC, ISO 8601.
+    output : str
+        The output folder.
+    outputs : list of str
+        The files written into it.
+    input_hash : str
+        SHA-256 over the bytes of the input files, in order.
+    files : list of InputFile
+        The map's files, and the names of what became of each.
+    points : int
+        Points of the whole map.
+    counts : dict of str to int
+        Points of each label; they add up to `points`.
+    clusters : list of ClusterReport
+    seconds : dict of str to float
+        Wall time of each stage.
+    peak_memory_bytes : int
+        Of this process.
+    warnings : list of str
+    configuration : dict
+        As resolved; the same as in `config.yaml`.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    version: str
+    finished: str
+    output: str
+    outputs: list[str]
+    input_hash: str
+    files: list[InputFile]
+    points: int
+    counts: dict[str, int]
+    clusters: list[ClusterReport]
+    seconds: dict[str, float]
+    peak_memory_bytes: int
+    warnings: list[str]
+    configuration: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        folder: Path,
+        collection: MapCollection,
+        input_hash: str,
+        configuration: Configuration,
+        result: CleaningResult,
+        names: OutputNames,
+        observer: StageObserver,
+    ) -> "RunReport":
+        """Gather the report of a finished run."""
+        outputs = [str(name) for name in (*names.static, *names.dynamic)]
+        outputs += [LABELS_FILE] if configuration.output.labels else []
+        outputs += [CONFIGURATION_FILE, RUN_FILE]
+        return cls(
+            version=version("dynahull-pipeline"),
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+            output=str(folder),
+            outputs=outputs,
+            input_hash=input_hash,
+            files=_input_files(collection, names),
+            points=collection.point_count,
+            counts=result.counts(),
+            clusters=[ClusterReport.of(cluster) for cluster in result.clusters],
+            seconds={stage: round(seconds, 3) for stage, seconds in observer.seconds.items()},
+            peak_memory_bytes=peak_memory(),
+            warnings=observer.warnings,
+            configuration=configuration.model_dump(mode="json"),
+        )
+
+    def to_json(self) -> str:
+        """Return the text of `run.json`."""
+        return json.dumps(self.model_dump(mode="json"), indent=2) + "\n"
+
+    def summary(self) -> str:
+        """Return the lines printed at the end of a run."""
+        removed = self.counts["dynamic"]
+        share = 100 * removed / self.points if self.points else 0.0
+        kept = ", ".join(
+            f"{count:,} {label}"
+            for label, count in self.counts.items()
+            if count and label != "dynamic"
+        )
+        lines = [
+            f"{removed:,} of {self.points:,} points removed ({share:.1f} %)",
+            f"kept: {kept or 'nothing'}",
+        ]
+        if self.clusters:
+            lines.append(f"{'cluster':>9}{'points':>14}{'R_i':>9}{'threshold':>14}{'removed':>12}")
+        for cluster in self.clusters:
+            threshold = "-" if cluster.threshold is None else f"{cluster.threshold:.4g}"
+            lines.append(
+                f"{cluster.index:>9}{cluster.count:>14,}{cluster.removal_percent:>7.2f} %"
+                f"{threshold:>14}{cluster.removed:>12,}"
+            )
+        folder = Path(self.output)
+        written = [folder / name for file in self.files for name in (file.static, file.dynamic)]
+        if len(self.files) > 1:
+            written = [folder / "static", folder / "dynamic"]
+        if self.configuration["output"]["labels"]:
+            written.append(folder / LABELS_FILE)
+        lines.append("written: " + ", ".join(str(path) for path in [*written, folder / RUN_FILE]))
+        return "\n".join(lines)
+
+
+def _input_files(collection: MapCollection, names: OutputNames) -> list[InputFile]:
+    return [
+        InputFile(
+            path=str(reader.description.path.resolve()),
+            format=reader.description.format,
+            size_bytes=reader.description.path.stat().st_size,
+            points=reader.description.point_count,
+            first_row=first_row,
+            static=str(static),
+            dynamic=str(dynamic),
+        )
+        for reader, first_row, static, dynamic in zip(
+            collection.readers, collection.first_rows, names.static, names.dynamic, strict=True
+        )
+    ]

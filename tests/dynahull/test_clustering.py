@@ -1,0 +1,76 @@
+"""Clusters do not depend on how the points are cut, ordered or moved."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynahull.clustering import Clusters, fit_clusters, sample_rows
+from dynahull.parameters import ClusteringParameters
+
+
+def blobs(count=4, size=300, seed=0):
+    random = np.random.default_rng(seed)
+    centres = np.arange(count)[:, None] * [20.0, 0, 0]
+    return np.concatenate([centre + random.normal(size=(size, 3)) for centre in centres])
+
+
+def test_finds_the_obvious_clusters():
+    points = blobs()
+    clusters = fit_clusters(points, ClusteringParameters(count=4))
+    nearest = clusters.nearest(points)
+    assert sorted(np.bincount(nearest)) == [300, 300, 300, 300]
+    for start in range(0, 1200, 300):
+        assert len(np.unique(nearest[start : start + 300])) == 1
+
+
+def test_the_same_seed_gives_the_same_centroids():
+    parameters = ClusteringParameters(count=3, seed=7)
+    first, second = (fit_clusters(blobs(), parameters).centroids for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_far_coordinates_lose_no_digits():
+    shift = np.array([5e5, 6e6, 100.0])
+    near = fit_clusters(blobs(), ClusteringParameters(count=4)).centroids
+    far = fit_clusters(blobs() + shift, ClusteringParameters(count=4)).centroids - shift
+    np.testing.assert_allclose(far[np.argsort(far[:, 0])], near[np.argsort(near[:, 0])], atol=1e-6)
+
+
+def test_a_point_belongs_to_its_nearest_centroid_and_to_the_first_of_two():
+    clusters = Clusters(np.array([[0.0, 0, 0], [2, 0, 0], [2, 0, 0]]))
+    np.testing.assert_array_equal(
+        clusters.nearest(np.array([[0.4, 0, 0], [1, 5, 5], [1.6, 0, 0]])), [0, 0, 1]
+    )
+
+
+@given(st.integers(1, 7))
+def test_assignment_is_the_same_in_any_batch(pieces):
+    points = blobs(size=50) + 1e6
+    clusters = fit_clusters(points, ClusteringParameters(count=4))
+    whole = clusters.nearest(points)
+    parts = [clusters.nearest(part) for part in np.array_split(points, pieces)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+@pytest.mark.parametrize(("distinct", "expected"), [(0, 0), (1, 1), (3, 3), (9, 5)])
+def test_no_more_clusters_than_distinct_points(distinct, expected):
+    points = np.repeat(np.arange(distinct)[:, None] * [1.0, 2, 3], 4, axis=0)
+    assert len(fit_clusters(points, ClusteringParameters(count=5)).centroids) == expected
+
+
+def test_the_sample_of_a_map_is_the_same_however_its_rows_are_cut():
+    rows = np.arange(10_000)
+    whole = rows[sample_rows(rows, 500, seed=3)]
+    assert len(whole) == 500
+    shuffled = np.random.default_rng(0).permutation(rows)
+    pieces = [piece[sample_rows(piece, 500, seed=3)] for piece in np.array_split(shuffled, 9)]
+    gathered = np.concatenate(pieces)
+    np.testing.assert_array_equal(gathered[sample_rows(gathered, 500, seed=3)], whole)
+
+
+def test_another_seed_draws_another_sample_and_all_parts_of_the_map_are_in_it():
+    rows = np.arange(10_000)
+    first, second = (rows[sample_rows(rows, 1000, seed)] for seed in (0, 1))
+    assert len(np.intersect1d(first, second)) < 200
+    assert np.histogram(first, bins=10, range=(0, 10_000))[0].min() > 60

@@ -1,0 +1,130 @@
+"""The command line as a user meets it: in a process of its own."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+from time import monotonic
+
+import numpy as np
+import pytest
+
+COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()"]
+
+
+def call(*arguments, **options):
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=120, **options
+    )
+
+
+@pytest.fixture
+def map_file(tmp_path):
+    random = np.random.default_rng(0)
+    wall = random.uniform(size=(1000, 3)) * [5, 0.02, 2]
+    points = np.vstack([wall, wall[:3], random.uniform(size=(50, 3)) * 3, [[np.nan, 0, 0]]])
+    np.save(tmp_path / "wall.npy", points)
+    return tmp_path / "wall.npy"
+
+
+def test_help_answers_at_once():
+    begun = monotonic()
+    done = call("--help")
+    assert done.returncode == 0
+    assert "run" in done.stdout
+    assert "info" in done.stdout
+    # Generous, for machines under load; a single heavy import would take longer on its own.
+    assert monotonic() - begun < 3
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from pipeline.cli import app; app(['run', '--help'], standalone_mode=False);"
+        "print(sorted({'numpy', 'scipy', 'sklearn', 'numba', 'pyarrow', 'laspy', 'yaml'}"
+        " & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_run_writes_the_results_and_says_what_was_removed(map_file, tmp_path):
+    done = call(
+        "run", map_file, "--labels", "--set", "ground.method=none", "--set", "neighbours.k=20",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "wall_dynahull"
+    names = {"static.npy", "dynamic.npy", "labels.parquet", "run.json", "config.yaml"}
+    assert {path.name for path in folder.iterdir()} == names
+    report = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    assert f"{report['counts']['dynamic']} of 1,054 points removed" in done.stdout
+    assert all(str(cluster["removed"]) in done.stdout for cluster in report["clusters"])
+    assert "static.npy" in done.stdout
+    assert "density: done" in done.stderr
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_info_says_what_a_map_is(map_file):
+    done = call("info", map_file)
+    assert done.returncode == 0
+    for expected in ("1,054", "x: float64", "non-finite  1", "duplicates  3", "CRS         none"):
+        assert expected in done.stdout
+    said = json.loads(call("info", map_file, "--json").stdout)
+    assert (said["points"], said["non_finite"], said["duplicates"]) == (1054, 1, 3)
+    assert said["maximum"][0] == pytest.approx(5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["run", "nowhere.pcd"], 3, "nowhere.pcd"),
+        (["run", "notes.txt"], 3, "notes.txt"),
+        (["run", "broken.las"], 3, "broken.las"),
+        (["info", "broken.las"], 3, "broken.las"),
+        (["run", "wall.npy", "-c", "nowhere.yaml"], 2, "nowhere.yaml"),
+        (["run", "wall.npy", "--set", "neighbours.kk=3"], 2, "did you mean k?"),
+        (["run", "wall.npy", "--set", "ground.method=las_class"], 3, "las_class"),
+        (["run", "wall.npy", "-o", "broken.las"], 1, "broken.las"),
+    ],
+)
+def test_mistakes_are_one_line_and_an_exit_code_and_write_nothing(
+    arguments, code, message, map_file, tmp_path
+):
+    (tmp_path / "broken.las").write_bytes(b"LASF but not really")
+    (tmp_path / "notes.txt").write_text("hello", encoding="utf-8")
+    before = sorted(tmp_path.iterdir())
+    done = call(*arguments, cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert "Traceback" not in done.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_wrong_usage_is_exit_code_two():
+    assert call("run").returncode == 2
+    assert call("clean-up").returncode == 2
+    assert call("run", "x.pcd", "--nonsense").returncode == 2
+
+
+def test_the_version_is_the_package_s():
+    assert call("--version").stdout.strip() == version("dynahull-pipeline")
+
+
+def test_terminated_in_the_middle_leaves_nothing(tmp_path):
+    random = np.random.default_rng(0)
+    np.save(tmp_path / "big.npy", random.normal(size=(300_000, 3)))
+    slow = ["--set", "ground.method=none", "--set", "density.device=reference"]
+    process = subprocess.Popen(
+        [*COMMAND, "run", "big.npy", *slow], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    for line in process.stderr:
+        if "density: " in line:
+            break
+    process.terminate()
+    rest = process.stderr.read()
+    assert process.wait(timeout=60) == 130
+    assert "error: interrupted" in rest
+    assert [path.name for path in tmp_path.iterdir()] == ["big.npy"]

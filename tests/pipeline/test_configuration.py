@@ -1,0 +1,112 @@
+"""Configuration: every mistake is one line that says where, what, and what is allowed."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from pipeline.configuration import Configuration, load_configuration, ready_configurations
+from pipeline.errors import ConfigurationError
+
+READY = sorted(path.stem for path in (Path(__file__).parents[2] / "configs").glob("*.yaml"))
+
+
+def write(folder, text):
+    path = folder / "my.yaml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_the_defaults_are_the_paper_s():
+    configuration = load_configuration(None)
+    assert configuration.neighbours.k == 75
+    assert configuration.clustering.count == 5
+    assert (configuration.removal.min_percent, configuration.removal.max_percent) == (5, 20)
+    assert load_configuration("paper").method() == configuration.method()
+
+
+def test_the_ready_configurations_come_with_the_package():
+    assert {"paper", "indoor", "outdoor"} <= set(READY)
+    assert sorted(ready_configurations()) == READY
+
+
+@pytest.mark.parametrize("name", READY)
+def test_every_ready_configuration_is_valid_and_survives_its_own_yaml(name, tmp_path):
+    configuration = load_configuration(name)
+    assert load_configuration(write(tmp_path, configuration.to_yaml())) == configuration
+
+
+def test_a_file_wins_over_a_ready_configuration_of_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("paper").write_text("neighbours: {k: 10}", encoding="utf-8")
+    assert load_configuration("paper").neighbours.k == 10
+
+
+def test_settings_win_over_the_file_and_the_last_wins(tmp_path):
+    source = write(tmp_path, "neighbours: {k: 30}\nmax_height: 2.5\n")
+    configuration = load_configuration(source, ["neighbours.k=40", "neighbours.k=50"])
+    assert configuration.neighbours.k == 50
+    assert configuration.max_height == 2.5
+    assert load_configuration(source, ["max_height=null"]).max_height is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "clustering: {cont: 3}",
+            r"\.cont: no such key; did you mean count\? allowed: count",
+        ),
+        (
+            "clusterin: {count: 3}",
+            r"no such key; did you mean clustering\? allowed: ground",
+        ),
+        ("neighbours: {k: many}", "neighbours.k: input should be a valid integer"),
+        ("neighbours: {k: 3}", "neighbours.k: input should be greater than or equal to 4, found 3"),
+        ("removal: {min_percent: 30}", r"min_percent \(30\) is above max_percent \(20\)"),
+        ("removal: {threshold: best}", "removal.threshold: input should be 'rank' or 'stepped'"),
+        ("- a\n- b", "expected sections with keys, found"),
+        ("a: [1", "expected YAML, found .* at line 1"),
+        ("neighbours: 5", "neighbours: input should be a valid dictionary"),
+    ],
+)
+def test_mistakes_in_a_file_are_one_line(text, message, tmp_path):
+    source = write(tmp_path, text)
+    with pytest.raises(ConfigurationError, match=message) as error:
+        load_configuration(source)
+    assert str(error.value).startswith(source)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("neighbours.k", "expected section.key=value"),
+        ("=5", "expected section.key=value"),
+        ("neighbours.n=5", "neighbours.n: no such key"),
+        ("neighbours.k=[1", "expected a YAML value"),
+        ("max_height.k=1", "max_height"),
+    ],
+)
+def test_mistakes_in_a_setting_are_one_line(setting, message):
+    with pytest.raises(ConfigurationError, match=message):
+        load_configuration(None, ["max_height=2", setting])
+
+
+def test_a_missing_file_names_the_ready_configurations():
+    with pytest.raises(ConfigurationError, match=r"nowhere.yaml: .* \(indoor, outdoor, paper\)"):
+        load_configuration("nowhere.yaml")
+
+
+def test_every_key_is_documented():
+    def undocumented(model: type[BaseModel], place: str) -> list[str]:
+        missing = []
+        for name, field in model.model_fields.items():
+            inner = field.annotation
+            if isinstance(inner, type) and issubclass(inner, BaseModel):
+                missing += undocumented(inner, f"{place}{name}.")
+            elif not field.description:
+                missing.append(place + name)
+        return missing
+
+    assert undocumented(Configuration, "") == []

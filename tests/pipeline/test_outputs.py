@@ -1,0 +1,146 @@
+"""The output folder: all or nothing, one run at a time, inputs never overwritten."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import OutputError
+from pipeline.outputs import OutputNames, default_folder, output_folder
+from tiling.formats import open_map
+
+
+def write_results(staging, text="new"):
+    for name in ("static.pcd", "dynamic.pcd", "run.json"):
+        (staging / name).write_text(text, encoding="utf-8")
+
+
+def listing(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_everything_appears_at_the_end(tmp_path):
+    folder = tmp_path / "deep" / "out"
+    with output_folder(folder, []) as staging:
+        write_results(staging)
+        (staging / "static").mkdir()
+        (staging / "static" / "a.pcd").write_text("a", encoding="utf-8")
+        assert not (folder / "run.json").exists()
+    assert listing(folder) == ["dynamic.pcd", "run.json", "static", "static.pcd", "static/a.pcd"]
+
+
+def test_nothing_appears_after_an_error_and_a_new_folder_goes_again(tmp_path):
+    folder = tmp_path / "deep" / "out"
+    with pytest.raises(RuntimeError), output_folder(folder, []) as staging:
+        write_results(staging)
+        raise RuntimeError
+    assert listing(tmp_path) == []
+
+
+def test_earlier_results_survive_an_error_and_are_replaced_by_success(tmp_path):
+    folder = tmp_path / "out"
+    with output_folder(folder, []) as staging:
+        write_results(staging, "old")
+    (folder / "my notes.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(RuntimeError), output_folder(folder, []) as staging:
+        write_results(staging)
+        raise RuntimeError
+    assert (folder / "static.pcd").read_text(encoding="utf-8") == "old"
+    with output_folder(folder, []) as staging:
+        write_results(staging)
+    assert (folder / "static.pcd").read_text(encoding="utf-8") == "new"
+    assert listing(folder) == ["dynamic.pcd", "my notes.txt", "run.json", "static.pcd"]
+
+
+def test_results_of_an_earlier_run_do_not_linger_beside_new_ones(tmp_path):
+    with output_folder(tmp_path, []) as staging:
+        (staging / "labels.parquet").write_text("old", encoding="utf-8")
+        (staging / "static").mkdir()
+        (staging / "static" / "a.pcd").write_text("old", encoding="utf-8")
+        outputs = {"outputs": ["labels.parquet", "static/a.pcd", "run.json"]}
+        (staging / "run.json").write_text(json.dumps(outputs), encoding="utf-8")
+    with output_folder(tmp_path, []) as staging:
+        write_results(staging)
+    assert listing(tmp_path) == ["dynamic.pcd", "run.json", "static.pcd"]
+
+
+def test_what_a_killed_run_left_is_cleared(tmp_path):
+    with pytest.raises(RuntimeError), output_folder(tmp_path, []) as staging:
+        left = staging
+        raise RuntimeError
+    left.mkdir()
+    (left / "static.pcd").write_text("half", encoding="utf-8")
+    with output_folder(tmp_path, []) as staging:
+        assert listing(staging) == []
+        write_results(staging)
+    assert listing(tmp_path) == ["dynamic.pcd", "run.json", "static.pcd"]
+
+
+def test_a_second_run_into_the_same_folder_is_refused(tmp_path):
+    with (
+        output_folder(tmp_path, []),
+        pytest.raises(OutputError, match="another run"),
+        output_folder(tmp_path, []),
+    ):
+        pass
+    with output_folder(tmp_path, []):
+        pass
+
+
+@pytest.mark.parametrize("name", ["static.pcd", "static/a.pcd", "dynamic.las", "labels.parquet"])
+def test_an_input_where_results_go_is_refused_before_any_work(name, tmp_path):
+    original = tmp_path / name
+    original.parent.mkdir(exist_ok=True)
+    original.write_text("input", encoding="utf-8")
+    with (
+        pytest.raises(OutputError, match="this input lies where results go"),
+        output_folder(tmp_path, [original]),
+    ):
+        pytest.fail("the work began")
+    assert original.read_text(encoding="utf-8") == "input"
+
+
+def test_an_input_elsewhere_in_the_output_folder_is_fine(tmp_path):
+    original = tmp_path / "map.pcd"
+    original.write_text("input", encoding="utf-8")
+    with output_folder(tmp_path, [original]) as staging:
+        write_results(staging)
+    assert listing(tmp_path) == ["dynamic.pcd", "map.pcd", "run.json", "static.pcd"]
+
+
+def test_a_file_in_the_folder_s_place_is_refused(tmp_path):
+    (tmp_path / "out").write_text("a file", encoding="utf-8")
+    with pytest.raises(OutputError, match="out: "), output_folder(tmp_path / "out", []):
+        pass
+
+
+@pytest.fixture
+def maps(tmp_path):
+    paths = [tmp_path / name for name in ("a/1.npy", "a/2.npy", "b/1.npy")]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        np.save(path, np.zeros((1, 3)))
+    return paths
+
+
+def test_names_of_one_and_of_several_files(maps):
+    def names(*paths):
+        chosen = OutputNames.of([open_map(path) for path in paths])
+        return [str(name) for name in (*chosen.static, *chosen.dynamic)]
+
+    assert names(maps[0]) == ["static.npy", "dynamic.npy"]
+    assert names(*maps[:2]) == ["static/1.npy", "static/2.npy", "dynamic/1.npy", "dynamic/2.npy"]
+    assert names(maps[0], maps[2])[:2] == ["static/a/1.npy", "static/b/1.npy"]
+
+
+@pytest.mark.parametrize(
+    ("paths", "expected"),
+    [
+        (["x/big_map.pcd"], "big_map_dynahull"),
+        (["x/lone.copc.laz"], "lone_dynahull"),
+        (["x/campus/1.pcd", "x/campus/2.pcd"], "campus_dynahull"),
+    ],
+)
+def test_the_default_folder_is_named_after_the_map(paths, expected):
+    assert default_folder([Path(path) for path in paths]) == Path(expected)
