@@ -117,14 +117,14 @@ def test_terminated_in_the_middle_leaves_nothing(tmp_path):
     random = np.random.default_rng(0)
     np.save(tmp_path / "big.npy", random.normal(size=(300_000, 3)))
     slow = ["--set", "ground.method=none", "--set", "density.device=reference"]
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [*COMMAND, "run", "big.npy", *slow], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    for line in process.stderr:
-        if "density: " in line:
-            break
-    process.terminate()
-    rest = process.stderr.read()
-    assert process.wait(timeout=60) == 130
+    ) as process:
+        for line in process.stderr:
+            if "density: " in line:
+                break
+        process.terminate()
+        rest = process.stderr.read()
+    assert process.returncode == 130
     assert "error: interrupted" in rest
     assert [path.name for path in tmp_path.iterdir()] == ["big.npy"]
