@@ -17,6 +17,7 @@ LENGTH, WIDTH = 20.0, 12.0
 STOREY = 3.2
 """Height of the upper floor above the lower one, metres."""
 SLAB = 0.3
+_LOWEST_CUPBOARD = 1.0
 
 
 class Building(NamedTuple):
@@ -26,6 +27,8 @@ class Building(NamedTuple):
     floor: npt.NDArray[np.bool_]
     upper: npt.NDArray[np.bool_]
     ramp: npt.NDArray[np.bool_]
+    clear: npt.NDArray[np.bool_]
+    """Points of other things more than 5 cm from the height of either floor: beyond doubt."""
 
 
 def simulate_building(
@@ -67,7 +70,9 @@ def simulate_building(
     points[:, :2] += random.normal(0, 0.005, (len(points), 2))
     order = random.permutation(len(points))
     points, names = points[order], names[order]
-    return Building(points, names != "object", names == "upper", names == "ramp")
+    from_floor = np.minimum(np.abs(points[:, 2]), np.abs(points[:, 2] - STOREY))
+    clear = (names == "object") & (from_floor > 0.05)
+    return Building(points, names != "object", names == "upper", names == "ramp", clear)
 
 
 def _thin(random: np.random.Generator, points: Floats) -> Floats:
@@ -111,10 +116,15 @@ def _box(
     half: float,
     density: float,
 ) -> Floats:
-    """Sample the top of a piece of furniture and its sides."""
+    """Sample the top of a piece of furniture, and its legs (tables) or sides (cupboards)."""
     bottom, top = span
     count = int(4 * half * half * density)
     lid = np.column_stack([random.uniform(-half, half, (count, 2)), np.full(count, top)])
+    if top - bottom < _LOWEST_CUPBOARD:
+        count = int(density * (top - bottom))
+        corners = random.choice([-half, half], (count, 2))
+        legs = np.column_stack([corners, random.uniform(bottom, top, count)])
+        return _thin(random, np.concatenate([lid, legs]) + np.array([x, y, 0.0]))
     count = int(8 * half * (top - bottom) * density * 0.5)
     along = random.uniform(-half, half, count)
     side = random.choice([-half, half], count)

@@ -80,7 +80,7 @@ def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
 
 @njit(cache=True, nogil=True)
 def _index_cells(cells: Floats, span: int) -> tuple[Integers, Integers, Integers]:
-    """Number blocks in order of appearance; return slots, block coordinates, neighbours."""
+    """Find the slot of each point, blocks being numbered as they appear, and their neighbours."""
     known = Dict.empty(_BLOCK_KEY, types.int64)
     slots = np.empty(len(cells), np.int64)
     last = (np.int64(0), np.int64(0))

@@ -22,7 +22,7 @@ class SlopeParameters(_Section):
         default=0.25, gt=0, le=10, description="Side of a lattice cell, metres (0 < cell <= 10)."
     )
     level: float = Field(
-        default=0.15,
+        default=0.1,
         gt=0,
         le=5,
         description="Thickness of a floor's layer of points, metres (0 < level <= 5).",
@@ -105,14 +105,14 @@ class SlopeParameters(_Section):
         "(0 < steepest <= 100).",
     )
     tolerance: float = Field(
-        default=0.02,
+        default=0.01,
         gt=0,
         le=10,
         description="Distance from the ground's surface within which points are ground, metres "
         "(0 < tolerance <= 10), before the next two are added.",
     )
     noise_tolerance: float = Field(
-        default=2.0,
+        default=2.2,
         ge=0,
         le=10,
         description="Tolerance added per metre of the floor's own noise, the standard deviation "
@@ -123,6 +123,14 @@ class SlopeParameters(_Section):
         ge=0,
         le=10,
         description="Tolerance added per unit of the surface's slope, metres (0 to 10).",
+    )
+    foot: float = Field(
+        default=1.0,
+        ge=0,
+        le=1000,
+        description="A point near the ground is the foot of a wall or a walker where, within a "
+        "quarter of a cell, the 0.3 m above hold more than `foot` times the points that are near "
+        "the ground (0 to 1000). Not used where `clearance` is null.",
     )
     tolerance_limit: float = Field(
         default=0.15,

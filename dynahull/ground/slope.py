@@ -3,13 +3,15 @@
 The steps: columns of a lattice anchored at the origin; levels in each column, layers with free
 height above; floors among them, flat and no ceiling; what stands out of its storey by more than
 a slope allows is an object (Vosselman 2000; Zhang et al. 2003; Pingel et al. 2013); planes through
-the levels that are left; and every point near such a plane is ground.
+the levels that are left; and a point near such a plane is ground, unless it is a foot of what stands
+there.
 """
 
 import numpy as np
 from numba import njit
 
 from dynahull.ground.candidates import FLAT_RADIUS, are_flat, are_floors
+from dynahull.ground.feet import are_feet
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -59,8 +61,8 @@ def slope_ground(points: Floats, p: SlopeParameters) -> Booleans:
     levels = levels.keep(~stand_out(levels, lattice, p, storey))
 
     occupied = np.flatnonzero(np.diff(starts))
-    surface = fit_surface(levels, lattice, occupied, p.extension, storey / 2)
-    return _near_surface(
+    surface = fit_surface(levels, lattice, occupied, p.extension, storey / 2, p.level)
+    surface_heights, tolerances = _nearest_surface(
         points,
         lattice.slots,
         surface.planes,
@@ -69,6 +71,10 @@ def slope_ground(points: Floats, p: SlopeParameters) -> Booleans:
         np.array([p.tolerance, p.slope_tolerance, p.noise_tolerance, p.tolerance_limit]),
         p.steepest,
     )
+    near = np.abs(points[:, 2] - surface_heights) <= tolerances
+    if p.clearance is None:
+        return near
+    return near & ~are_feet(points, near, surface_heights, tolerances, p)
 
 
 def slope_radius(p: SlopeParameters) -> float:
@@ -99,7 +105,7 @@ def height_above(points: Floats, ground: Booleans, p: SlopeParameters) -> Floats
     thickness = 2 * p.tolerance_limit
     levels = find_levels(columns, starts, thickness, clearance / 2, 1.0)
     occupied = np.flatnonzero(np.bincount(lattice.slots, minlength=lattice.slot_count))
-    surface = fit_surface(levels, lattice, occupied, p.extension, clearance / 2)
+    surface = fit_surface(levels, lattice, occupied, p.extension, clearance / 2, thickness)
     return _height_above(
         points, lattice.slots, surface.planes, surface.starts, p.cell, p.tolerance_limit
     )
@@ -113,7 +119,7 @@ def _height_over(point: Floats, plane: Floats, cell: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _near_surface(
+def _nearest_surface(
     points: Floats,
     slots: Integers,
     planes: Floats,
@@ -121,17 +127,21 @@ def _near_surface(
     cell: float,
     tolerances: Floats,
     steepest: float,
-) -> Booleans:
+) -> tuple[Floats, Floats]:
+    """Return the height of the surface nearest to each point (NaN: none), and its tolerance."""
     base, per_slope, per_noise, limit = tolerances
-    near = np.zeros(len(points), np.bool_)
+    heights = np.full(len(points), np.nan)
+    widths = np.zeros(len(points), np.float64)
     for point in range(len(points)):
+        nearest = np.inf
         for k in range(starts[slots[point]], starts[slots[point] + 1]):
             slope = np.hypot(planes[k, SLOPE_X], planes[k, SLOPE_Y])
-            tolerance = min(base + per_slope * slope + per_noise * planes[k, NOISE], limit)
-            if slope <= steepest and abs(_height_over(points[point], planes[k], cell)) <= tolerance:
-                near[point] = True
-                break
-    return near
+            height = _height_over(points[point], planes[k], cell)
+            if slope <= steepest and abs(height) < nearest:
+                nearest = abs(height)
+                heights[point] = points[point, 2] - height
+                widths[point] = min(base + per_slope * slope + per_noise * planes[k, NOISE], limit)
+    return heights, widths
 
 
 @njit(cache=True, nogil=True)

@@ -26,11 +26,14 @@ _SUPPORT = 12
 _STOREYS = 16
 """Storeys above each other in one column, at most; further ones are not fitted."""
 
-_RIDGE = 0.1
+_RIDGE = 0.03
 """Cells squared. Holds a plane level where its levels lie on a line or on one side."""
 
 _SMALLEST_VARIANCE = 1e-6
 """Metres squared; noise beneath a millimetre is not told apart."""
+
+_FINEST_VARIANCE = 1e-4
+"""Metres squared; levels thinner than a centimetre weigh the same."""
 
 
 class Surface(NamedTuple):
@@ -43,7 +46,12 @@ class Surface(NamedTuple):
 
 
 def fit_surface(
-    levels: Levels, lattice: Lattice, occupied: Integers, extension: float, storey: float
+    levels: Levels,
+    lattice: Lattice,
+    occupied: Integers,
+    extension: float,
+    storey: float,
+    thickness: float,
 ) -> Surface:
     """Fit planes to the ground levels near each occupied cell.
 
@@ -59,6 +67,8 @@ def fit_surface(
         How far from a cell levels count, metres.
     storey : float
         Levels closer in height than this belong to one plane, metres.
+    thickness : float
+        Of a layer, metres: its spread where it has too few points is that of an even layer.
     """
     planes, counts = _fit_planes(
         levels.heights,
@@ -69,6 +79,7 @@ def fit_surface(
         disk_offsets(extension / lattice.cell),
         lattice.cell,
         storey,
+        thickness / np.sqrt(12.0),
     )
     starts = np.zeros(lattice.slot_count + 1, np.int64)
     starts[occupied + 1] = counts
@@ -85,6 +96,7 @@ def _fit_planes(
     offsets: Integers,
     cell: float,
     storey: float,
+    unknown: float,
 ) -> tuple[Floats, Integers]:
     planes = np.empty((len(wanted) + _STOREYS, 4), np.float64)
     counts = np.zeros(len(wanted), np.int64)
@@ -109,7 +121,9 @@ def _fit_planes(
                     sums[group] = 0.0
                 if sums[group, 12] < _SUPPORT:
                     rise = heights[level] - bases[group]
-                    _add_level(sums[group], offsets[k], rise, spreads[level])
+                    known = spreads[level] >= 0
+                    spread = spreads[level] if known else unknown
+                    _add_level(sums[group], offsets[k], rise, spread, known)
         if found + storeys > len(planes):
             larger = np.empty((2 * len(planes), 4), np.float64)
             larger[:found] = planes[:found]
@@ -122,10 +136,14 @@ def _fit_planes(
 
 
 @njit(cache=True, nogil=True)
-def _add_level(s: Floats, offset: Integers, z: float, spread: float) -> None:
-    """Add a level to the weighted sums of its storey; horizontal lengths in cells."""
+def _add_level(s: Floats, offset: Integers, z: float, spread: float, known: bool) -> None:
+    """Add a level to the weighted sums of its storey; horizontal lengths in cells.
+
+    Near levels weigh more, and thin ones: that of a column with the foot of a wall is thick.
+    """
     u, v = np.float64(offset[0]), np.float64(offset[1])
-    w = 1.0 / (u * u + v * v + 0.5)
+    near = 1.0 / (u * u + v * v + 0.5)
+    w = near / (spread * spread + _FINEST_VARIANCE)
     s[0] += w
     s[1] += w * u
     s[2] += w * v
@@ -136,9 +154,9 @@ def _add_level(s: Floats, offset: Integers, z: float, spread: float) -> None:
     s[7] += w * u * z
     s[8] += w * v * z
     s[9] += w * z * z
-    if spread >= 0:
-        s[10] += w
-        s[11] += w / (spread * spread + _SMALLEST_VARIANCE)
+    if known:
+        s[10] += near
+        s[11] += near / (spread * spread + _SMALLEST_VARIANCE)
     s[12] += 1.0
 
 

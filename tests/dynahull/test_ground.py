@@ -165,7 +165,7 @@ def test_csf_finds_a_floor_in_silence_and_twice_the_same(capfd):
     random = np.random.default_rng(6)
     floor = plane(random, (0, 10), (0, 10), 5.0, 60)
     things = np.column_stack([random.uniform(4, 6, (500, 2)), random.uniform(5.5, 7, 500)])
-    points = np.concatenate([floor, things]) + [500_000, 6_700_000, 0]
+    points = np.concatenate([floor, things]) + np.array([500_000, 6_700_000, 0])
     parameters = GroundParameters(method="csf", csf=ClothParameters(cloth_resolution=0.5))
     ground = ground_mask(points, parameters)
     assert ground[: len(floor)].mean() > 0.95
