@@ -73,7 +73,9 @@ def clean(
     valid = np.asarray(np.isfinite(coordinates).all(axis=1))
     ground, above = set_ground_aside(coordinates, valid, parameters, classification, observer)
     rows = np.flatnonzero(valid & ~ground & ~above)
-    clusters = find_clusters(coordinates[rows], rows, parameters, observer)
+    clusters = find_clusters(
+        coordinates[rows], rows, int(np.count_nonzero(valid)), parameters, observer
+    )
     membership = _membership(clusters.nearest(coordinates[rows]), len(clusters.centroids), rows)
     densities = _densities(coordinates, membership, parameters, threads, observer)
     percentages = removal_percentages(
@@ -145,12 +147,13 @@ def set_ground_aside(
 def find_clusters(
     points: NDArray[np.float64],
     rows: NDArray[np.int64],
+    total: int,
     parameters: MethodParameters,
     observer: Observer,
 ) -> Clusters:
     """Fit the clusters of the ground-free points on a sample of them."""
     observer.stage("clustering", len(points))
-    sample = sample_rows(rows, parameters.clustering.sample, parameters.clustering.seed)
+    sample = sample_rows(rows, total, parameters.clustering)
     clusters = fit_clusters(points[sample], parameters.clustering)
     if not len(points):
         observer.warn("no point is left after the ground: nothing was scored")

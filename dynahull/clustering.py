@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from dynahull.parameters import ClusteringParameters
 
 _ASSIGNMENT_BATCH = 65_536
+_FEWEST_SAMPLED = 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,29 +50,36 @@ class Clusters:
         return nearest
 
 
-def sample_rows(rows: NDArray[np.int64], size: int, seed: int) -> NDArray[np.intp]:
-    """Choose at most `size` points by their row numbers.
+def sample_rows(
+    rows: NDArray[np.int64], total: int, parameters: ClusteringParameters
+) -> NDArray[np.intp]:
+    """Choose the points that the model is fitted on, by their row numbers.
 
-    Every row number is given a pseudo-random rank (SplitMix64, Steele et al. 2014, a bijection);
-    the lowest ranks are taken. A sample of a part is thus the part of a sample.
+    Every row number is given a pseudo-random rank (SplitMix64, Steele et al. 2014, a bijection).
+    Those below `sample / total` of all ranks are taken, or the lowest thousand where those are
+    more. Sampling the parts of a map and then what they gave is thus sampling the map.
 
     Parameters
     ----------
     rows : (n,) int64 array
-        Distinct row numbers.
-    size : int
-        Points wanted.
-    seed : int
-        Another seed gives another sample.
+        Distinct row numbers of ground-free points.
+    total : int
+        Points of the whole map that have finite coordinates, ground included.
+    parameters : ClusteringParameters
+        `sample` and `seed` are used.
 
     Returns
     -------
-    (min(n, size),) intp array
+    intp array
         Indices into `rows`, in the order of the row numbers.
     """
-    chosen = np.arange(len(rows))
-    if len(rows) > size:
-        chosen = np.argpartition(_random_rank(rows, seed), size - 1)[:size]
+    rank = _random_rank(rows, parameters.seed)
+    limit = 2**64 * parameters.sample // max(total, 1)
+    chosen = np.flatnonzero(rank < np.uint64(limit)) if limit < 2**64 else np.arange(len(rows))
+    if len(chosen) < _FEWEST_SAMPLED < len(rows):
+        chosen = np.argpartition(rank, _FEWEST_SAMPLED - 1)[:_FEWEST_SAMPLED]
+    elif len(chosen) < _FEWEST_SAMPLED:
+        chosen = np.arange(len(rows))
     return chosen[np.argsort(rows[chosen])]
 
 

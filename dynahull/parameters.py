@@ -34,8 +34,8 @@ class ClusteringParameters(_Section):
     sample: int = Field(
         100_000,
         ge=1_000,
-        description="Points the model is fitted on, at most; drawn by row number, so that the "
-        "sample does not depend on how the map is cut.",
+        description="Points of the map, ground included, among which those lie that the model is "
+        "fitted on; drawn by row number, so that the sample does not depend on how the map is cut.",
     )
 
 

@@ -59,18 +59,33 @@ def test_no_more_clusters_than_distinct_points(distinct, expected):
     assert len(fit_clusters(points, ClusteringParameters(count=5)).centroids) == expected
 
 
-def test_the_sample_of_a_map_is_the_same_however_its_rows_are_cut():
+@pytest.mark.parametrize("total", [20_000, 10_000_000], ids=["by share", "the lowest thousand"])
+def test_the_sample_of_a_map_is_the_same_however_its_rows_are_cut(total):
+    parameters = ClusteringParameters(sample=4_000, seed=3)
     rows = np.arange(10_000)
-    whole = rows[sample_rows(rows, 500, seed=3)]
-    assert len(whole) == 500
+    whole = rows[sample_rows(rows, total, parameters)]
+    assert len(whole) == pytest.approx(2_000 if total == 20_000 else 1_000, rel=0.1)
     shuffled = np.random.default_rng(0).permutation(rows)
-    pieces = [piece[sample_rows(piece, 500, seed=3)] for piece in np.array_split(shuffled, 9)]
-    gathered = np.concatenate(pieces)
-    np.testing.assert_array_equal(gathered[sample_rows(gathered, 500, seed=3)], whole)
+    for cuts in ([1, 2, 7_000], [500], list(range(100, 10_000, 100))):
+        pieces = np.split(shuffled, cuts)
+        gathered = np.concatenate(
+            [piece[sample_rows(piece, total, parameters)] for piece in pieces]
+        )
+        again = gathered[sample_rows(gathered, total, parameters)]
+        np.testing.assert_array_equal(again, whole)
+
+
+def test_a_small_map_is_sampled_whole():
+    parameters = ClusteringParameters(sample=4_000)
+    for size in (0, 1, 999, 1_000, 4_000):
+        rows = np.arange(size)
+        np.testing.assert_array_equal(sample_rows(rows, size, parameters), rows)
 
 
 def test_another_seed_draws_another_sample_and_all_parts_of_the_map_are_in_it():
-    rows = np.arange(10_000)
-    first, second = (rows[sample_rows(rows, 1000, seed)] for seed in (0, 1))
-    assert len(np.intersect1d(first, second)) < 200
-    assert np.histogram(first, bins=10, range=(0, 10_000))[0].min() > 60
+    rows = np.arange(40_000)
+    first, second = (
+        sample_rows(rows, 40_000, ClusteringParameters(sample=4_000, seed=seed)) for seed in (0, 1)
+    )
+    assert len(np.intersect1d(first, second)) < 800
+    assert np.histogram(first, bins=10, range=(0, 40_000))[0].min() > 300
