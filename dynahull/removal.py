@@ -86,27 +86,47 @@ def _by_rank(
 
 def _by_steps(density: NDArray[np.float64], percentage: Fraction) -> Removal:
     finite = np.sort(density[np.isfinite(density)])
-    wanted = min(ceil(percentage * len(density) / 100), len(finite))
-    step = _step(finite)
-    if wanted == 0 or step == 0:
+    wanted = removable_count(percentage, len(density), len(finite))
+    if wanted == 0:
         return Removal(np.zeros(len(density), np.bool_), None)
-    reached = _first_step_above(float(finite[wanted - 1]), step)
+    statistics = [float(finite[rank]) for rank in (*stepped_quartiles(len(finite)), wanted - 1)]
+    reached = stepped_threshold(*statistics)
+    if reached is None:
+        return Removal(np.zeros(len(density), np.bool_), None)
     return Removal(density < reached, reached)
 
 
-def _step(finite: NDArray[np.float64]) -> float:
-    """Return the step: a hundredth of the interquartile range, of the whole range where that is 0.
+def removable_count(percentage: Fraction, count: int, finite: int) -> int:
+    """Return the points that a rising threshold must reach: R_i of N_i, rounded up, if it can."""
+    return min(ceil(percentage * count / 100), finite)
 
-    The quartiles are densities that occur, so that they can be selected exactly over many tiles; a
+
+def stepped_quartiles(finite: int) -> tuple[int, int, int, int]:
+    """Return the ranks, from zero, that set the step: minimum, both quartiles, and maximum.
+
+    They are ranks of densities that occur, so that they can be selected exactly over many tiles.
+    """
+    last = finite - 1
+    return 0, last // 4, 3 * last // 4, last
+
+
+def stepped_threshold(
+    lowest: float, lower_quartile: float, upper_quartile: float, highest: float, wanted: float
+) -> float | None:
+    """Raise the threshold from zero until it exceeds the density `wanted` (Algorithm 1).
+
+    The step is a hundredth of the interquartile range, or of the whole range where that is zero. A
     standard deviation would depend on the order of a sum, and a few nearly flat hulls of huge
     density would decide it.
+
+    Returns
+    -------
+    float or None
+        The threshold; None where all densities are equal and no step can be taken.
     """
-    if not len(finite):
-        return 0.0
-    last = len(finite) - 1
-    quartile_range = finite[3 * last // 4] - finite[last // 4]
-    spread = quartile_range or finite[-1] - finite[0]
-    return float(spread) / STEPS_PER_SPREAD
+    spread = (upper_quartile - lower_quartile) or (highest - lowest)
+    step = spread / STEPS_PER_SPREAD
+    return _first_step_above(wanted, step) if step > 0 else None
 
 
 def _first_step_above(density: float, step: float) -> float:

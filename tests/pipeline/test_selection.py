@@ -1,0 +1,64 @@
+"""The cuts found over tiles are those of the whole array, to the last bit and row."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynahull.removal import remove_least_dense
+from pipeline.selection import ScoredPoints, find_cuts
+
+
+def tiles_of(cluster, density, rows, pieces, seed):
+    """Cut points into tiles of no particular order."""
+    order = np.random.default_rng(seed).permutation(len(rows))
+    parts = np.array_split(order, pieces)
+    return lambda: (ScoredPoints(cluster[part], density[part], rows[part]) for part in parts)
+
+
+@settings(deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 300),
+    st.integers(1, 5),
+    st.integers(1, 12),
+    st.sampled_from(["scattered", "tied", "wide"]),
+    st.sampled_from(["rank", "stepped"]),
+)
+def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
+    seed, size, count, pieces, kind, threshold
+):
+    random = np.random.default_rng(seed)
+    density = {
+        "scattered": lambda: random.uniform(1, 100, size),
+        "tied": lambda: random.integers(1, 4, size) * 0.1,
+        "wide": lambda: 10.0 ** random.uniform(-30, 30, size),
+    }[kind]()
+    density[random.random(size) < 0.1] = np.inf
+    density[random.random(size) < 0.05] = np.nan
+    cluster = random.integers(0, count, size).astype(np.int32)
+    rows = random.permutation(10 * size)[:size].astype(np.int64)
+    counts = np.bincount(cluster, minlength=count)
+    percentages = [Fraction(int(share), 10) for share in random.integers(0, 1001, count)]
+
+    cuts = find_cuts(tiles_of(cluster, density, rows, pieces, seed), counts, percentages, threshold)
+
+    for index, cut in enumerate(cuts):
+        members = cluster == index
+        if not members.any():
+            assert cut.density is None
+            continue
+        expected = remove_least_dense(
+            density[members], rows[members], percentages[index], threshold
+        )
+        dynamic = cut.dynamic(density[members], rows[members])
+        np.testing.assert_array_equal(dynamic, expected.dynamic)
+        assert cut.density == expected.threshold
+
+
+@pytest.mark.parametrize("threshold", ["rank", "stepped"])
+def test_no_tiles_and_no_clusters(threshold):
+    assert find_cuts(list, [], [], threshold) == []
+    assert find_cuts(list, [0], [Fraction(0)], threshold)[0].density is None
