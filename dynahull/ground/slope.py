@@ -3,8 +3,7 @@
 The steps: columns of a lattice anchored at the origin; levels in each column, layers with free
 height above; floors among them, flat and no ceiling; what stands out of its storey by more than
 a slope allows is an object (Vosselman 2000; Zhang et al. 2003; Pingel et al. 2013); planes through
-the levels that are left; and a point near such a plane is ground, unless it is a foot of what stands
-there.
+the levels that are left. A point near such a plane is ground, unless it is the foot of something.
 """
 
 import numpy as np

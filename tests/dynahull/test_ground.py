@@ -144,6 +144,21 @@ def test_the_height_is_that_above_the_nearest_floor_beneath():
     np.testing.assert_allclose(height, [1.5, 1.2, -1.0, 1.0, np.nan], atol=0.05)
 
 
+@pytest.mark.parametrize(("steepest", "low", "high"), [(0.45, 0.0, 0.25), (0.8, 0.9, 1.0)])
+def test_stairs_are_ground_if_surfaces_so_steep_may_be(steepest, low, high):
+    random = np.random.default_rng(7)
+    rise, run, steps = 0.17, 0.28, 16
+    foot = plane(random, (-5, 0), (-3, 3), 0.0)
+    head = plane(random, (run * steps, run * steps + 5), (-3, 3), rise * steps)
+    treads = plane(random, (0, run * steps), (-0.8, 0.8), rise, 400)
+    treads[:, 2] += np.floor(treads[:, 0] / run) * rise
+    points = np.concatenate([foot, head, treads])
+    parameters = GroundParameters(slope=SlopeParameters(steepest=steepest))
+    ground = ground_mask(points, parameters)
+    assert ground[: len(foot) + len(head)].mean() > 0.97
+    assert low <= ground[len(foot) + len(head) :].mean() <= high
+
+
 def test_trusted_classes():
     parameters = GroundParameters(method="las_class")
     points = np.zeros((3, 3))
