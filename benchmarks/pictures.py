@@ -2,7 +2,8 @@
 
     python -m benchmarks.pictures [--maps ../shared/data/maps] [--to docs/images]
 
-Cleans the map with the ready configuration `indoor` and draws what stands on the floor, from above.
+Cleans the map with the ready configuration `indoor`, and draws from above what stands on the floor,
+below the ceiling.
 """
 
 import argparse
@@ -13,14 +14,15 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from dynahull import Label, clean
+from dynahull.ground import height_above_ground
 from pipeline.configuration import load_configuration
 from tiling.formats import open_map
 
-EXTENT = ((14.0, 62.0), (20.0, 40.0))
+EXTENT = ((13.0, 50.0), (22.0, 40.0))
 """The part that is drawn, metres along x and y."""
 
-TALLEST = 2.2
-"""Points higher above the floor's median are not drawn, metres: the ceiling would hide the rest."""
+CEILING = 2.1
+"""Metres above the floor."""
 
 
 def main() -> None:
@@ -32,18 +34,19 @@ def main() -> None:
     mpl.use("Agg")
     reader = open_map(arguments.maps / "corridor.pcd")
     points = np.concatenate([batch.xyz for batch in reader.batches()])
-    result = clean(points, load_configuration("indoor").method())
+    parameters = load_configuration("indoor").method()
+    labels = clean(points, parameters).labels
+    height = height_above_ground(points, labels == Label.GROUND, parameters.ground)
+    low = height < CEILING
     arguments.to.mkdir(parents=True, exist_ok=True)
-    draw(points, result.labels, arguments.to / "corridor_before_after.png")
+    draw(points[low], labels[low], arguments.to / "corridor_before_after.png")
 
 
 def draw(points: np.ndarray, labels: np.ndarray, path: Path) -> None:
     """Draw the map as it came, with the points to go in red, and as it is given back."""
-    floor = np.median(points[labels == Label.GROUND, 2])
-    shown = (labels != Label.GROUND) & (points[:, 2] < floor + TALLEST)
-    ghosts = shown & (labels == Label.DYNAMIC)
-    stays = shown & ~ghosts
-    figure, panels = plt.subplots(2, 1, figsize=(10, 8.6), layout="constrained")
+    ghosts = labels == Label.DYNAMIC
+    stays = labels == Label.STATIC
+    figure, panels = plt.subplots(2, 1, figsize=(10, 10.2), layout="constrained")
     for panel, title in zip(panels, ("before (red: removed)", "after"), strict=True):
         panel.scatter(points[stays, 0], points[stays, 1], s=0.15, c="#304050", linewidths=0)
         panel.set(xlim=EXTENT[0], ylim=EXTENT[1], aspect="equal", title=title)
