@@ -144,8 +144,8 @@ def test_the_height_is_that_above_the_nearest_floor_beneath():
     np.testing.assert_allclose(height, [1.5, 1.2, -1.0, 1.0, np.nan], atol=0.05)
 
 
-@pytest.mark.parametrize(("steepest", "low", "high"), [(0.45, 0.0, 0.25), (0.8, 0.9, 1.0)])
-def test_stairs_are_ground_if_surfaces_so_steep_may_be(steepest, low, high):
+@pytest.mark.parametrize(("steepest", "low", "high"), [(0.45, 0.0, 0.25), (0.8, 0.8, 1.0)])
+def test_most_of_the_stairs_is_ground_if_surfaces_so_steep_may_be(steepest, low, high):
     random = np.random.default_rng(7)
     rise, run, steps = 0.17, 0.28, 16
     foot = plane(random, (-5, 0), (-3, 3), 0.0)
