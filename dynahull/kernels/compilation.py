@@ -17,9 +17,12 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 import numba
+import numpy as np
 from llvmlite import binding
 
 from dynahull.kernels import solve
+from dynahull.kernels.solve import Results, make_room
+from dynahull.kernels.tree import make_stack, make_tree
 
 log = logging.getLogger("dynahull")
 
@@ -63,9 +66,19 @@ def _kernels() -> Kernels:
 
 
 def _compile(cached: bool) -> Kernels:
+    tree, stack, room = (
+        make_tree(np.zeros((4, 3)), np.zeros(4, np.int64)),
+        make_stack(),
+        make_room(4),
+    )
+    results = Results(np.zeros(4), np.zeros(4), np.zeros((4, 4), np.int64))
+    queries = np.zeros(4, np.bool_)
+    grow_types = [numba.typeof(value) for value in (tree, stack)]
+    solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, room, results)]
+    options = {"nogil": True, "error_model": "numpy", "cache": cached, "_nrt": False}
     return Kernels(
-        numba.njit(solve.GROW_SIGNATURE, nogil=True, cache=cached)(solve.grow),
-        numba.njit(solve.SOLVE_SIGNATURE, nogil=True, cache=cached)(solve.solve),
+        numba.njit(numba.void(*grow_types), **options)(solve.grow),
+        numba.njit(numba.void(*solve_types), **options)(solve.solve),
     )
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels.compilation import kernels
 from dynahull.kernels.exact import exact_hull_volume
-from dynahull.kernels.tree import LEAF_SIZE
+from dynahull.kernels.solve import Results, make_room
+from dynahull.kernels.tree import LEAF_SIZE, make_stack, make_tree
 
 _LEAVES_AT_A_TIME = 128
 _FEWEST = 4
@@ -126,17 +127,10 @@ def _solve(
     leaves = -(-count // LEAF_SIZE)
     squared_reach = np.full(count, np.nan)
     compiled = kernels()
-    tree = (
-        points[:, 0].copy(),
-        points[:, 1].copy(),
-        points[:, 2].copy(),
-        rows.astype(np.int64),
-        np.arange(count, dtype=np.uint32),
-        np.empty((2 * leaves - 1, 6)),
-    )
-    compiled.grow(*tree)
+    tree = make_tree(points, rows)
+    compiled.grow(tree, make_stack())
     wanted = np.ones(count, np.bool_) if queries is None else np.ascontiguousarray(queries)
-    outputs = (
+    results = Results(
         np.empty(0) if density is None else density,
         squared_reach,
         np.empty((0, 0), np.int64) if neighbours is None else neighbours,
@@ -144,7 +138,7 @@ def _solve(
 
     def solve_leaves(first: int) -> int:
         end = min(first + _LEAVES_AT_A_TIME, leaves)
-        compiled.solve(*tree, k, first, end, wanted, *outputs)
+        compiled.solve(tree, k, first, end, wanted, make_room(k), results)
         return min(end * LEAF_SIZE, count) - first * LEAF_SIZE
 
     _share_out(solve_leaves, range(0, leaves, _LEAVES_AT_A_TIME), threads, on_progress)

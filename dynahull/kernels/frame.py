@@ -12,19 +12,21 @@ special case. The volume is summed from the coordinates as they were: what shaki
 tetrahedra between points that are coplanar to one part in 2^32.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dynahull.hull import FLATNESS
+from dynahull.kernels.compiled import compiled
+from dynahull.kernels.vectors import largest, padded, smallest
 
-GRID = 2.0**50
-"""Grid steps in a unit of the frame."""
+STEP = 2.0**-50
+"""The grid's step, in units of the frame."""
 
-SHAKE = 2.0**18
-"""Largest shake, in grid steps."""
+SHAKE = 2.0**-32
+"""The largest shake."""
 
 SHAKES = 8
 """Different ways to shake, tried in turn."""
@@ -42,9 +44,11 @@ class Neighbourhood(NamedTuple):
     length, width, thickness : (capacity,) float64 arrays
         Coordinates in the frame, in [-1, 1].
     x, y, z : (capacity,) float64 arrays
-        Integers: the coordinates on the grid, shaken.
+        The coordinates on the grid, shaken: multiples of `STEP`.
+    rough_x, rough_y, rough_z : (capacity,) float32 arrays
+        The same, rounded.
     shake : (3, capacity + SHAKES * stride) float64 array
-        Pseudo-random steps of the grid, the same for ever.
+        Pseudo-random multiples of `STEP`, the same for ever.
     """
 
     dx: NDArray[np.float64]
@@ -56,36 +60,46 @@ class Neighbourhood(NamedTuple):
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     z: NDArray[np.float64]
+    rough_x: NDArray[np.float32]
+    rough_y: NDArray[np.float32]
+    rough_z: NDArray[np.float32]
     shake: NDArray[np.float64]
 
 
-@njit(nogil=True)
-def make_neighbourhood(capacity: int) -> Neighbourhood:
-    """Allocate a neighbourhood of at most so many points."""
-    shake = np.empty((3, capacity + SHAKES * _SHAKE_STRIDE))
-    random = np.uint64(0x9E3779B97F4A7C15)
-    for i in range(shake.shape[1]):
-        for axis in range(3):
-            random ^= random << np.uint64(13)
-            random ^= random >> np.uint64(7)
-            random ^= random << np.uint64(17)
-            share = np.float64(random >> np.uint64(11)) * 2.0**-52 - 1.0
-            shake[axis, i] = np.rint(share * SHAKE)
+def make_neighbourhood(most: int) -> Neighbourhood:
+    """Make room for at most so many points."""
+    size = padded(most)
     return Neighbourhood(
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        np.empty(capacity),
-        shake,
+        dx=np.zeros(size),
+        dy=np.zeros(size),
+        dz=np.zeros(size),
+        length=np.zeros(size),
+        width=np.zeros(size),
+        thickness=np.zeros(size),
+        x=np.zeros(size),
+        y=np.zeros(size),
+        z=np.zeros(size),
+        rough_x=np.zeros(size, np.float32),
+        rough_y=np.zeros(size, np.float32),
+        rough_z=np.zeros(size, np.float32),
+        shake=_shakes(size),
     )
 
 
-@njit(nogil=True)
+@lru_cache(maxsize=4)
+def _shakes(size: int) -> NDArray[np.float64]:
+    """Return pseudo-random multiples of `STEP`; the first are the same for any size."""
+    mask, state = 2**64 - 1, 0x9E3779B97F4A7C15
+    shake = np.empty((size + SHAKES * _SHAKE_STRIDE, 3))
+    for place in np.ndindex(shake.shape):
+        state ^= state << 13 & mask
+        state ^= state >> 7
+        state ^= state << 17 & mask
+        shake[place] = round((state / 2**63 - 1) * (SHAKE / STEP)) * STEP
+    return np.ascontiguousarray(shake.T)
+
+
+@compiled
 def enter_frame(points: Neighbourhood, count: int) -> float:
     """Find the frame of a neighbourhood and its coordinates there.
 
@@ -114,7 +128,7 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
         points.length[i] = along
         rx, ry, rz = dx[i] - along * ax, dy[i] - along * ay, dz[i] - along * az
         points.width[i] = rx * rx + ry * ry + rz * rz
-    side = _largest(points.width, size)
+    side = place_of_largest(points.width, size)
     rx = dx[side] - points.length[side] * ax
     ry = dy[side] - points.length[side] * ay
     rz = dz[side] - points.length[side] * az
@@ -129,7 +143,7 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     for i in range(size):
         points.width[i] = dx[i] * bx + dy[i] * by + dz[i] * bz
         points.thickness[i] = dx[i] * cx + dy[i] * cy + dz[i] * cz
-    extent_3 = _largest_magnitude(points.thickness, size)
+    extent_3 = max(largest(points.thickness, size), -smallest(points.thickness, size))
     if extent_3 <= FLATNESS * extent_1:
         return 0.0
     for i in range(size):
@@ -139,33 +153,25 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     return extent_1 * extent_2 * extent_3
 
 
-@njit(nogil=True)
-def _largest(values: NDArray[np.float64], size: np.uint64) -> np.uint64:
+@compiled
+def place_of_largest(values: NDArray[np.float64], size: np.uint64) -> np.uint64:
     """Return the index of the largest value, the first of equals."""
-    best = np.uint64(0)
-    for i in range(size):
-        if values[i] > values[best]:
-            best = np.uint64(i)
-    return best
+    most = largest(values, size)
+    i = np.uint64(0)
+    while values[i] != most:
+        i += np.uint64(1)
+    return i
 
 
-@njit(nogil=True)
-def _largest_magnitude(values: NDArray[np.float64], size: np.uint64) -> float:
-    # Non-negative doubles have the order of their bits, and integers reduce in vectors.
-    bits = values.view(np.int64)
-    largest = np.int64(0)
-    for i in range(size):
-        largest = max(largest, bits[i] & np.int64(0x7FFFFFFFFFFFFFFF))
-    one = np.empty(1, np.int64)
-    one[0] = largest
-    return one.view(np.float64)[0]
-
-
-@njit(nogil=True)
+@compiled
 def set_on_grid(points: Neighbourhood, count: int, attempt: int) -> None:
     """Round the frame coordinates to the grid, and shake them."""
     shift = np.uint64(attempt * _SHAKE_STRIDE)
     for i in range(np.uint64(count)):
-        points.x[i] = np.rint(points.length[i] * GRID) + points.shake[0, shift + i]
-        points.y[i] = np.rint(points.width[i] * GRID) + points.shake[1, shift + i]
-        points.z[i] = np.rint(points.thickness[i] * GRID) + points.shake[2, shift + i]
+        points.x[i] = np.rint(points.length[i] / STEP) * STEP + points.shake[0, shift + i]
+        points.y[i] = np.rint(points.width[i] / STEP) * STEP + points.shake[1, shift + i]
+        points.z[i] = np.rint(points.thickness[i] / STEP) * STEP + points.shake[2, shift + i]
+    for i in range(np.uint64(count)):
+        points.rough_x[i] = np.float32(points.x[i])
+        points.rough_y[i] = np.float32(points.y[i])
+        points.rough_z[i] = np.float32(points.z[i])

@@ -6,23 +6,23 @@ other side. For k = 75 a turn is a single pass of vector arithmetic over all poi
 50 facets takes 50 turns, where inserting points one by one would make 128 facets for the 50 that
 stay.
 
-The turns are done in doubles and may be misled. So nothing is taken from them on trust: each
-facet found must have all other points strictly below it, by the exact predicate. Such triangles
-are facets of the hull beyond doubt, and once every edge has its two sides there are no others. A
-wrapping that does not close, or is not certified, is repeated with the points shaken otherwise.
+The turns are done in floating point and may be misled. So nothing is taken from them on trust:
+each facet found must have all other points strictly below it, by the exact predicate. Such
+triangles are facets of the hull beyond doubt, and once every edge has its two sides there are no
+others. So it does not matter to any bit of the result that turns are first tried in single
+precision, which is right but for points nearly coplanar, and only then in double. A wrapping that
+still does not close, or is not certified, is repeated with the points shaken otherwise.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from dynahull.kernels.bits import ordered_bits
-from dynahull.kernels.frame import SHAKES, Neighbourhood, enter_frame, set_on_grid
+from dynahull.kernels.compiled import compiled
+from dynahull.kernels.frame import SHAKES, Neighbourhood, enter_frame, place_of_largest, set_on_grid
 from dynahull.kernels.predicates import SLIVER, accurate_minor, is_strictly_above_all
-
-_FAR = 1e300  # takes a point out of a turn
+from dynahull.kernels.vectors import ROUGH_INDEX_BITS, point_met
 
 
 class Surface(NamedTuple):
@@ -38,67 +38,81 @@ class Surface(NamedTuple):
         A stack: from which point to which, and the facet on its left.
     has_facet : (points, points) bool array
         Whether an edge, by its two points in order, has a facet on its left.
-    penalty : (points,) float64 array
-        Takes the points of the edge out of a turn.
     """
 
     corners: NDArray[np.uint64]
     normals: NDArray[np.float64]
     open_edges: NDArray[np.uint64]
     has_facet: NDArray[np.bool_]
-    penalty: NDArray[np.float64]
 
 
-@njit(nogil=True)
-def make_surface(capacity: int) -> Surface:
-    """Allocate the surface of a hull of at most so many points."""
-    facets = 2 * capacity
+def make_surface(most: int) -> Surface:
+    """Make room for the hull of at most so many points."""
+    facets = 2 * most
     return Surface(
         np.empty((3, facets), np.uint64),
         np.empty((3, facets)),
         np.empty((3, 3 * facets), np.uint64),
-        np.zeros((capacity, capacity), np.bool_),
-        np.zeros(capacity),
+        np.zeros((most, most), np.bool_),
     )
 
 
-@njit(nogil=True)
-def hull_volume(points: Neighbourhood, count: int, surface: Surface) -> float:
+@compiled
+def hull_volume(
+    points: Neighbourhood, count: int, surface: Surface, rough_first: bool
+) -> tuple[float, bool]:
     """Measure the convex hull of a neighbourhood.
 
     Parameters
     ----------
     points : Neighbourhood
-        `dx`, `dy` and `dz` given, nearest first; the rest is overwritten.
+        `dx`, `dy` and `dz` given, nearest first, no two the same; the rest is overwritten.
     count : int
-        Number of points, at least four.
+        Number of points.
     surface : Surface
         Overwritten.
+    rough_first : bool
+        Whether single precision is worth trying; it does not change the result.
 
     Returns
     -------
-    float
-        Volume in cubic units of `dx`; zero where the points are flat; NaN where no wrapping could
-        be certified.
+    volume : float
+        In cubic units of `dx`; zero where the points are flat; NaN where no wrapping could be
+        certified.
+    rough : bool
+        Whether single precision was enough.
     """
+    if count < 4:
+        return 0.0, rough_first
     unit = enter_frame(points, count)
     if unit == 0.0:
-        return 0.0
-    for attempt in range(SHAKES):
-        set_on_grid(points, count, attempt)
-        facets = _wrap(points, count, surface)
+        return 0.0, rough_first
+    set_on_grid(points, count, 0)
+    if rough_first and count <= 2**ROUGH_INDEX_BITS:
+        facets = _wrap(points, count, surface, True)
         if facets > 0 and _is_certified(points, count, surface, facets):
-            return unit * _enclosed(points, surface, facets)
-    return np.nan
+            return unit * _enclosed(points, surface, facets), True
+    for attempt in range(SHAKES):
+        if attempt > 0:
+            set_on_grid(points, count, attempt)
+        facets = _wrap(points, count, surface, False)
+        if facets > 0 and _is_certified(points, count, surface, facets):
+            return unit * _enclosed(points, surface, facets), False
+    return np.nan, False
 
 
-@njit(nogil=True)
-def _wrap(points: Neighbourhood, count: int, surface: Surface) -> int:
+@compiled
+def _wrap(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> int:
     """Find the facets of the hull; return their number, or -1 where the turns contradict."""
-    surface.has_facet[:count, :count] = False
-    _find_first_facet(points, count, surface)
-    facets = 1
+    x, y, z = points.x, points.y, points.z
+    # A plane through the outermost point, turned about the y axis, then about the edge it meets.
+    a = place_of_largest(points.x, np.uint64(count))
+    b = _turn(points, count, surface, rough, a, a, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0)
+    dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
+    c = _turn(points, count, surface, rough, a, b, dx, dy, dz, -dz, 0.0, dx)
+    _add_facet(points, surface, np.uint64(0), b, a, c)
     depth = _open_edges(surface, np.uint64(0), 0)
+    facets = 1
     while depth > 0:
         depth -= 1
         slot = np.uint64(depth)
@@ -110,41 +124,32 @@ def _wrap(points: Neighbourhood, count: int, surface: Surface) -> int:
             points,
             count,
             surface,
+            rough,
             i,
             j,
-            points.x[j] - points.x[i],
-            points.y[j] - points.y[i],
-            points.z[j] - points.z[i],
+            x[j] - x[i],
+            y[j] - y[i],
+            z[j] - z[i],
             surface.normals[0, facet],
             surface.normals[1, facet],
             surface.normals[2, facet],
         )
         if facets == 2 * count - 4 or surface.has_facet[i, apex] or surface.has_facet[apex, j]:
+            _forget_edges(surface, facets)
             return -1
         _add_facet(points, surface, np.uint64(facets), j, i, apex)
         depth = _open_edges(surface, np.uint64(facets), depth)
         facets += 1
+    _forget_edges(surface, facets)
     return facets
 
 
-@njit(nogil=True)
-def _find_first_facet(points: Neighbourhood, count: int, surface: Surface) -> None:
-    """Make facet 0, by turning a plane about the y axis, then about the edge that it meets."""
-    a = np.uint64(0)
-    for i in range(np.uint64(count)):
-        if points.x[i] > points.x[a]:
-            a = np.uint64(i)
-    b = _turn(points, count, surface, a, a, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0)
-    dx, dy, dz = points.x[b] - points.x[a], points.y[b] - points.y[a], points.z[b] - points.z[a]
-    c = _turn(points, count, surface, a, b, dx, dy, dz, -dz, 0.0, dx)
-    _add_facet(points, surface, np.uint64(0), b, a, c)
-
-
-@njit(nogil=True)
+@compiled
 def _turn(
     points: Neighbourhood,
     count: int,
     surface: Surface,
+    rough: bool,
     i: np.uint64,
     j: np.uint64,
     edge_x: float,
@@ -154,33 +159,29 @@ def _turn(
     normal_y: float,
     normal_z: float,
 ) -> np.uint64:
-    """Turn a facet's plane over its edge from `i` to `j` until it meets a point, and return that.
-
-    Of each point, `below` is its depth under the plane and `inward` its distance from the edge
-    along it, to one scale; the point met has the largest angle, so the smallest cotangent.
-    """
-    x, y, z, penalty = points.x, points.y, points.z, surface.penalty
+    """Turn a facet's plane over its edge from `i` to `j` until it meets a point; return that."""
     inward_x = normal_y * edge_z - normal_z * edge_y
     inward_y = normal_z * edge_x - normal_x * edge_z
     inward_z = normal_x * edge_y - normal_y * edge_x
-    height = normal_x * x[i] + normal_y * y[i] + normal_z * z[i]
-    margin = inward_x * x[i] + inward_y * y[i] + inward_z * z[i]
-    penalty[i] = penalty[j] = _FAR
-    index_bits = np.int64(1)
-    while index_bits < count:
-        index_bits *= 2
-    index_bits -= 1
-    best = np.int64(0x7FFFFFFFFFFFFFFF)
-    for q in range(np.uint64(count)):
-        below = height - (normal_x * x[q] + normal_y * y[q] + normal_z * z[q])
-        inward = (inward_x * x[q] + inward_y * y[q] + inward_z * z[q]) - margin + penalty[q]
-        cotangent = inward / (below if below > 1.0 else 1.0)
-        best = min(best, (ordered_bits(cotangent) & ~index_bits) | np.int64(q))
-    penalty[i] = penalty[j] = 0.0
-    return np.uint64(best & index_bits)
+    height = normal_x * points.x[i] + normal_y * points.y[i] + normal_z * points.z[i]
+    margin = inward_x * points.x[i] + inward_y * points.y[i] + inward_z * points.z[i]
+    if rough:
+        rough_plane = (
+            np.float32(inward_x),
+            np.float32(inward_y),
+            np.float32(inward_z),
+            np.float32(margin),
+            np.float32(normal_x),
+            np.float32(normal_y),
+            np.float32(normal_z),
+            np.float32(height),
+        )
+        return point_met(points.rough_x, points.rough_y, points.rough_z, count, i, j, rough_plane)
+    plane = (inward_x, inward_y, inward_z, margin, normal_x, normal_y, normal_z, height)
+    return point_met(points.x, points.y, points.z, count, i, j, plane)
 
 
-@njit(nogil=True)
+@compiled
 def _add_facet(
     points: Neighbourhood,
     surface: Surface,
@@ -210,12 +211,22 @@ def _add_facet(
     surface.has_facet[c, a] = True
 
 
-@njit(nogil=True)
+@compiled
+def _forget_edges(surface: Surface, facets: int) -> None:
+    """Make `has_facet` ready for the next neighbourhood."""
+    for f in range(np.uint64(facets)):
+        a, b, c = surface.corners[0, f], surface.corners[1, f], surface.corners[2, f]
+        surface.has_facet[a, b] = False
+        surface.has_facet[b, c] = False
+        surface.has_facet[c, a] = False
+
+
+@compiled
 def _open_edges(surface: Surface, facet: np.uint64, depth: int) -> int:
     """Push the edges of a facet that have none on their other side; return the stack's depth."""
     corners = surface.corners
-    for side in range(3):
-        i, j = corners[side, facet], corners[(side + 1) % 3, facet]
+    a, b, c = corners[0, facet], corners[1, facet], corners[2, facet]
+    for i, j in ((a, b), (b, c), (c, a)):
         if not surface.has_facet[j, i]:
             slot = np.uint64(depth)
             surface.open_edges[0, slot] = i
@@ -225,7 +236,7 @@ def _open_edges(surface: Surface, facet: np.uint64, depth: int) -> int:
     return depth
 
 
-@njit(nogil=True)
+@compiled
 def _is_certified(points: Neighbourhood, count: int, surface: Surface, facets: int) -> bool:
     for f in range(np.uint64(facets)):
         if not is_strictly_above_all(
@@ -242,7 +253,7 @@ def _is_certified(points: Neighbourhood, count: int, surface: Surface, facets: i
     return True
 
 
-@njit(nogil=True)
+@compiled
 def _enclosed(points: Neighbourhood, surface: Surface, facets: int) -> float:
     """Sum the tetrahedra of all facets with the query, in the frame."""
     u, v, w = points.length, points.width, points.thickness

@@ -15,10 +15,11 @@ monotonic: a box further than some distance holds no point within it, to the las
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from dynahull.kernels.tree import LEAF_SIZE, Tree, leaf_count
+from dynahull.kernels.compiled import compiled
+from dynahull.kernels.tree import LEAF_SIZE, Tree, leaf_count, make_stack
+from dynahull.kernels.vectors import box_distances, count_below, count_up_to, padded
 
 SLACK = 8
 """Points beyond the k-th that counting may leave in: sorting them is cheaper than counting on."""
@@ -29,23 +30,36 @@ _TINY = 1e-290  # and the squares that underflow
 
 
 class Candidates(NamedTuple):
-    """The points of the leaves around a leaf.
+    """The leaves around a leaf, and those of them that matter to one query.
 
     Attributes
     ----------
-    x, y, z : (capacity,) float64 arrays
-        Coordinates, gathered.
-    at : (capacity,) uint32 array
-        Positions in the tree.
-    distance : (capacity,) float64 array
-        Squared distances from the present query.
+    leaf : (capacity,) int64 array
+        Numbers of the leaves.
+    low_x, low_y, low_z, high_x, high_y, high_z : (capacity,) float64 arrays
+        Their boxes.
+    gap : (capacity,) float64 array
+        Squared distances of the boxes from the query.
+    near : (capacity,) int64 array
+        Numbers of the leaves near the query.
+    distance : (capacity * LEAF_SIZE,) float64 array
+        Squared distances of the points of these from the query.
+    stack, stack_gap
+        Room to walk the tree.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
-    at: NDArray[np.uint32]
+    leaf: NDArray[np.int64]
+    low_x: NDArray[np.float64]
+    low_y: NDArray[np.float64]
+    low_z: NDArray[np.float64]
+    high_x: NDArray[np.float64]
+    high_y: NDArray[np.float64]
+    high_z: NDArray[np.float64]
+    gap: NDArray[np.float64]
+    near: NDArray[np.int64]
     distance: NDArray[np.float64]
+    stack: NDArray[np.int64]
+    stack_gap: NDArray[np.float64]
 
 
 class Nearest(NamedTuple):
@@ -57,71 +71,74 @@ class Nearest(NamedTuple):
         Squared distances.
     at : (capacity,) uint32 array
         Positions in the tree.
-    key, rank, other_distance, other_at
+    key, key_bits, other_distance, other_at
         Room to sort them.
     """
 
     distance: NDArray[np.float64]
     at: NDArray[np.uint32]
-    key: NDArray[np.int64]
-    rank: NDArray[np.int64]
+    key: NDArray[np.float32]
+    key_bits: NDArray[np.uint32]
     other_distance: NDArray[np.float64]
     other_at: NDArray[np.uint32]
 
 
-@njit(nogil=True)
-def candidate_capacity(k: int) -> int:
-    """Return how many candidates a leaf may share; where there are more, each query walks."""
-    return max(4096, 32 * k)
-
-
-@njit(nogil=True)
 def make_candidates(k: int) -> Candidates:
-    """Allocate the candidates of one leaf."""
-    size = candidate_capacity(k) + LEAF_SIZE
+    """Make room for the candidates of one leaf; where it is too little, each query walks alone."""
+    size = padded(max(128, k))
     return Candidates(
-        np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.uint32), np.empty(size)
+        leaf=np.empty(size, np.int64),
+        low_x=np.empty(size),
+        low_y=np.empty(size),
+        low_z=np.empty(size),
+        high_x=np.empty(size),
+        high_y=np.empty(size),
+        high_z=np.empty(size),
+        gap=np.empty(size),
+        near=np.empty(size, np.int64),
+        distance=np.empty(size * LEAF_SIZE),
+        stack=make_stack(),
+        stack_gap=np.empty(64),
     )
 
 
-@njit(nogil=True)
 def make_nearest(k: int) -> Nearest:
-    """Allocate the neighbours of one query."""
-    size = 2 * k + SLACK
+    """Make room for the neighbours of one query."""
+    size = padded(2 * k + SLACK + LEAF_SIZE)
+    key = np.empty(size, np.float32)
     return Nearest(
         np.empty(size),
         np.empty(size, np.uint32),
-        np.empty(size, np.int64),
-        np.empty(size, np.int64),
+        key,
+        key.view(np.uint32),
         np.empty(size),
         np.empty(size, np.uint32),
     )
 
 
-@njit(nogil=True)
+@compiled
 def gather_candidates(
     tree: Tree, leaf: int, k: int, squared_bound: float, candidates: Candidates
 ) -> int:
-    """List the points of all leaves within a distance of the box of `leaf`.
+    """List the leaves within a distance of the box of `leaf`.
 
     Returns
     -------
     int
         How many there are; -1 where they do not fit.
     """
-    box = np.empty(6)
-    box[:] = tree.boxes[_leaf_node(tree, leaf)]
-    capacity = candidate_capacity(k)
+    leaf_node = _leaf_node(tree, leaf)
     count = 0
-    stack = np.empty((64, 3), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(tree.x.size)
+    stack = candidates.stack
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(tree.rows.size)
     depth = 1
     while depth > 0:
         depth -= 1
         node, first, leaves = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-        if _box_distance(tree.boxes, node, box) > squared_bound:
+        if _box_to_box(tree.boxes, node, leaf_node) > squared_bound:
             continue
-        if leaves > 1 and not _is_one_place(tree.boxes, node):
+        one_place = leaves > 1 and _is_one_place(tree.boxes, node)
+        if leaves > 1 and not one_place:
             left = (leaves + 1) // 2
             stack[depth, 0], stack[depth, 1], stack[depth, 2] = (
                 node + 2 * left,
@@ -132,26 +149,26 @@ def gather_candidates(
             stack[depth, 0], stack[depth, 1], stack[depth, 2] = node + 1, first, left
             depth += 1
             continue
-        begin = first * LEAF_SIZE
-        end = min((first + leaves) * LEAF_SIZE, tree.x.size)
-        if leaves > 1:
-            # All in one place, in the order of their rows: the first k are the nearest.
-            end = min(end, begin + k)
-        if count + (end - begin) > capacity:
+        # All in one place are in the order of their rows: the first k are the nearest.
+        wanted = min(leaves, leaf_count(k)) if one_place else 1
+        if count + wanted > candidates.leaf.size:
             return -1
-        shift = np.uint64(count)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            slot = shift + (i - np.uint64(begin))
-            candidates.x[slot] = tree.x[i]
-            candidates.y[slot] = tree.y[i]
-            candidates.z[slot] = tree.z[i]
-            candidates.at[slot] = i
-        count += end - begin
+        for number in range(first, first + wanted):
+            slot = np.uint64(count)
+            candidates.leaf[slot] = number
+            candidates.low_x[slot] = tree.boxes[node, 0]
+            candidates.low_y[slot] = tree.boxes[node, 1]
+            candidates.low_z[slot] = tree.boxes[node, 2]
+            candidates.high_x[slot] = tree.boxes[node, 3]
+            candidates.high_y[slot] = tree.boxes[node, 4]
+            candidates.high_z[slot] = tree.boxes[node, 5]
+            count += 1
     return count
 
 
-@njit(nogil=True)
+@compiled
 def search_list(
+    tree: Tree,
     x: float,
     y: float,
     z: float,
@@ -160,7 +177,6 @@ def search_list(
     squared_bound: float,
     candidates: Candidates,
     count: int,
-    rows: NDArray[np.int64],
     nearest: Nearest,
 ) -> int:
     """Find the k nearest candidates of a query.
@@ -174,42 +190,87 @@ def search_list(
     squared_bound : float
         Squared distance within which k candidates are sure to lie.
     count : int
-        Number of candidates.
+        Number of candidate leaves.
 
     Returns
     -------
     int
         Points left in `nearest`: the k nearest and perhaps a few more, unsorted.
     """
-    size = np.uint64(count)
+    leaves = _select_leaves(x, y, z, squared_bound, candidates, count)
     distance = candidates.distance
-    for i in range(size):
-        dx = candidates.x[i] - x
-        dy = candidates.y[i] - y
-        dz = candidates.z[i] - z
-        distance[i] = (dx * dx + dy * dy) + dz * dz
+    for i in range(leaves):
+        out = i * np.uint64(LEAF_SIZE)
+        first = np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE)
+        for j in range(np.uint64(LEAF_SIZE)):
+            dx = tree.x[first + j] - x
+            dy = tree.y[first + j] - y
+            dz = tree.z[first + j] - z
+            distance[out + j] = (dx * dx + dy * dy) + dz * dz
+    size = leaves * np.uint64(LEAF_SIZE)
     threshold, within = _count_to_threshold(distance, size, k, guess, squared_bound)
     if within > k + SLACK + k // 2:
-        for i in range(size):
-            if i < np.uint64(k):
-                nearest.distance[i] = distance[i]
-                nearest.at[i] = candidates.at[i]
-                if i == np.uint64(k - 1):
-                    _heapify(nearest, k, rows)
-            elif distance[i] <= nearest.distance[0]:
-                _offer(nearest, k, distance[i], candidates.at[i], rows)
-        return k
+        return _keep_nearest(tree, k, threshold, candidates, leaves, nearest)
     filled = np.uint64(0)
-    for i in range(size):
-        nearest.distance[filled] = distance[i]
-        nearest.at[filled] = candidates.at[i]
-        filled += np.uint64(distance[i] <= threshold)
-        if filled == np.uint64(within):
-            break
+    for i in range(leaves):
+        out = i * np.uint64(LEAF_SIZE)
+        first = np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE)
+        for j in range(np.uint64(LEAF_SIZE)):
+            nearest.distance[filled] = distance[out + j]
+            nearest.at[filled] = first + j
+            filled += np.uint64(distance[out + j] <= threshold)
     return within
 
 
-@njit(nogil=True)
+@compiled
+def _select_leaves(
+    x: float, y: float, z: float, squared_bound: float, candidates: Candidates, count: int
+) -> np.uint64:
+    """List the candidate leaves within a distance of a query; return how many there are."""
+    boxes = (
+        candidates.low_x,
+        candidates.low_y,
+        candidates.low_z,
+        candidates.high_x,
+        candidates.high_y,
+        candidates.high_z,
+    )
+    box_distances(boxes, np.uint64(count), (x, y, z), candidates.gap)
+    selected = np.uint64(0)
+    for i in range(np.uint64(count)):
+        candidates.near[selected] = candidates.leaf[i]
+        selected += np.uint64(candidates.gap[i] <= squared_bound)
+    return selected
+
+
+@compiled
+def _keep_nearest(
+    tree: Tree,
+    k: int,
+    threshold: float,
+    candidates: Candidates,
+    leaves: np.uint64,
+    nearest: Nearest,
+) -> int:
+    """Keep exactly the k nearest where many more share the k-th distance; return k."""
+    kept = 0
+    for i in range(leaves):
+        for j in range(np.uint64(LEAF_SIZE)):
+            distance = candidates.distance[i * np.uint64(LEAF_SIZE) + j]
+            at = np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE) + j
+            if distance > threshold:
+                continue
+            if kept < k:
+                nearest.distance[kept], nearest.at[kept] = distance, at
+                kept += 1
+                if kept == k:
+                    _heapify(nearest, k, tree.rows)
+            elif distance <= nearest.distance[0]:
+                _offer(nearest, k, distance, at, tree.rows)
+    return k
+
+
+@compiled
 def _count_to_threshold(
     distance: NDArray[np.float64], size: np.uint64, k: int, guess: float, squared_bound: float
 ) -> tuple[float, int]:
@@ -239,31 +300,33 @@ def _count_to_threshold(
     return high, high_count
 
 
-@njit(nogil=True)
+@compiled
 def _count_within(distance: NDArray[np.float64], size: np.uint64, threshold: float) -> int:
-    within = 0
-    for i in range(size):
-        within += 1 if distance[i] <= threshold else 0
-    return within
+    return count_up_to(distance, size, threshold)
 
 
-@njit(nogil=True)
+@compiled
 def search_tree(
-    tree: Tree, x: float, y: float, z: float, k: int, start: int, nearest: Nearest
+    tree: Tree,
+    x: float,
+    y: float,
+    z: float,
+    k: int,
+    start: int,
+    candidates: Candidates,
+    nearest: Nearest,
 ) -> int:
     """Find the k nearest points of a query by walking the tree, nearer boxes first.
 
     Begins with the points from position `start` on, which should be near. Returns k.
     """
-    box = np.array([x, y, z, x, y, z])
-    begin = max(0, min(start, tree.x.size - k))
+    begin = max(0, min(start, tree.rows.size - k))
     for i in range(k):
         nearest.distance[i] = point_distance(tree, begin + i, x, y, z)
         nearest.at[i] = begin + i
     _heapify(nearest, k, tree.rows)
-    stack = np.empty((64, 3), np.int64)
-    gap = np.empty(64)
-    stack[0, 0], stack[0, 1], stack[0, 2], gap[0] = 0, 0, leaf_count(tree.x.size), 0.0
+    stack, gap = candidates.stack, candidates.stack_gap
+    stack[0, 0], stack[0, 1], stack[0, 2], gap[0] = 0, 0, leaf_count(tree.rows.size), 0.0
     depth = 1
     while depth > 0:
         depth -= 1
@@ -272,8 +335,8 @@ def search_tree(
             continue
         if leaves > 1 and not _is_one_place(tree.boxes, node):
             left = (leaves + 1) // 2
-            near_gap = _box_distance(tree.boxes, node + 1, box)
-            far_gap = _box_distance(tree.boxes, node + 2 * left, box)
+            near_gap = _box_to_point(tree.boxes, node + 1, x, y, z)
+            far_gap = _box_to_point(tree.boxes, node + 2 * left, x, y, z)
             far_first = 0 if near_gap > far_gap else 1
             right_at, left_at = depth + 1 - far_first, depth + far_first
             stack[right_at, 0], stack[right_at, 1] = node + 2 * left, first + left
@@ -283,7 +346,7 @@ def search_tree(
             depth += 2
             continue
         first_point = first * LEAF_SIZE
-        end = min((first + leaves) * LEAF_SIZE, tree.x.size)
+        end = min((first + leaves) * LEAF_SIZE, tree.rows.size)
         if leaves > 1:
             end = min(end, first_point + k)
         for i in range(first_point, end):
@@ -293,7 +356,7 @@ def search_tree(
     return k
 
 
-@njit(nogil=True)
+@compiled
 def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
     """Sort the first `count` neighbours by (squared distance, row number).
 
@@ -301,17 +364,18 @@ def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
     index in their lowest bits; an insertion pass then settles what those bits blur, and ties.
     """
     size = np.uint64(count)
-    bits = nearest.distance.view(np.int64)
+    bits = nearest.key_bits
+    mask = np.uint32(1)
+    while mask < size:
+        mask += mask
+    mask -= np.uint32(1)
     for i in range(size):
-        nearest.key[i] = (bits[i] & ~np.int64(0xFFFFF)) | np.int64(i)
+        # Neither infinite nor denormal, or the index would make it no number, or zero.
+        rough = np.float32(min(nearest.distance[i], 1e38)) + np.float32(1e-30)
+        nearest.key[i] = rough
+        bits[i] = (bits[i] & ~mask) | np.uint32(i)
     for i in range(size):
-        key = nearest.key[i]
-        smaller = 0
-        for j in range(size):
-            smaller += 1 if nearest.key[j] < key else 0
-        nearest.rank[i] = smaller
-    for i in range(size):
-        place = np.uint64(nearest.rank[i])
+        place = np.uint64(count_below(nearest.key, size, nearest.key[i]))
         nearest.other_distance[place] = nearest.distance[i]
         nearest.other_at[place] = nearest.at[i]
     for i in range(count):
@@ -325,7 +389,7 @@ def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
         nearest.at[j] = at
 
 
-@njit(nogil=True)
+@compiled
 def _is_beyond(
     distance: float, at: int, other_distance: float, other_at: int, rows: NDArray[np.int64]
 ) -> bool:
@@ -335,20 +399,20 @@ def _is_beyond(
     return distance > other_distance
 
 
-@njit(nogil=True)
+@compiled
 def _heapify(nearest: Nearest, k: int, rows: NDArray[np.int64]) -> None:
     for start in range(k // 2 - 1, -1, -1):
         _sift_down(nearest, k, start, nearest.distance[start], nearest.at[start], rows)
 
 
-@njit(nogil=True)
+@compiled
 def _offer(nearest: Nearest, k: int, distance: float, at: int, rows: NDArray[np.int64]) -> None:
     """Put a point in the place of the farthest of the heap, if it is nearer."""
     if _is_beyond(nearest.distance[0], nearest.at[0], distance, at, rows):
         _sift_down(nearest, k, 0, distance, at, rows)
 
 
-@njit(nogil=True)
+@compiled
 def _sift_down(
     nearest: Nearest, k: int, start: int, distance: float, at: int, rows: NDArray[np.int64]
 ) -> None:
@@ -373,7 +437,7 @@ def _sift_down(
     nearest.at[parent] = at
 
 
-@njit(nogil=True)
+@compiled
 def point_distance(tree: Tree, i: int, x: float, y: float, z: float) -> float:
     """Return the squared distance of the point at a position from a place."""
     dx = tree.x[i] - x
@@ -382,17 +446,27 @@ def point_distance(tree: Tree, i: int, x: float, y: float, z: float) -> float:
     return (dx * dx + dy * dy) + dz * dz
 
 
-@njit(nogil=True)
-def _box_distance(boxes: NDArray[np.float64], node: int, box: NDArray[np.float64]) -> float:
-    """Return the squared distance of a node's box from another box."""
+@compiled
+def _box_to_point(boxes: NDArray[np.float64], node: int, x: float, y: float, z: float) -> float:
+    """Return the squared distance of a node's box from a place."""
     i = np.uint64(node)
-    dx = max(boxes[i, 0] - box[3], box[0] - boxes[i, 3], 0.0)
-    dy = max(boxes[i, 1] - box[4], box[1] - boxes[i, 4], 0.0)
-    dz = max(boxes[i, 2] - box[5], box[2] - boxes[i, 5], 0.0)
+    dx = max(boxes[i, 0] - x, x - boxes[i, 3], 0.0)
+    dy = max(boxes[i, 1] - y, y - boxes[i, 4], 0.0)
+    dz = max(boxes[i, 2] - z, z - boxes[i, 5], 0.0)
     return (dx * dx + dy * dy) + dz * dz
 
 
-@njit(nogil=True)
+@compiled
+def _box_to_box(boxes: NDArray[np.float64], node: int, other: int) -> float:
+    """Return the squared distance of the boxes of two nodes."""
+    i, j = np.uint64(node), np.uint64(other)
+    dx = max(boxes[i, 0] - boxes[j, 3], boxes[j, 0] - boxes[i, 3], 0.0)
+    dy = max(boxes[i, 1] - boxes[j, 4], boxes[j, 1] - boxes[i, 4], 0.0)
+    dz = max(boxes[i, 2] - boxes[j, 5], boxes[j, 2] - boxes[i, 5], 0.0)
+    return (dx * dx + dy * dy) + dz * dz
+
+
+@compiled
 def _is_one_place(boxes: NDArray[np.float64], node: int) -> bool:
     return (
         boxes[node, 0] == boxes[node, 3]
@@ -401,10 +475,10 @@ def _is_one_place(boxes: NDArray[np.float64], node: int) -> bool:
     )
 
 
-@njit(nogil=True)
+@compiled
 def _leaf_node(tree: Tree, leaf: int) -> int:
     """Return the number of a leaf's node."""
-    node, first, leaves = 0, 0, leaf_count(tree.x.size)
+    node, first, leaves = 0, 0, leaf_count(tree.rows.size)
     while leaves > 1:
         left = (leaves + 1) // 2
         if leaf < first + left:
@@ -414,7 +488,7 @@ def _leaf_node(tree: Tree, leaf: int) -> int:
     return node
 
 
-@njit(nogil=True)
+@compiled
 def middle_of_leaf(tree: Tree, leaf: int) -> int:
     """Return the position of the point of a leaf that is nearest to the middle of its box."""
     boxes, node = tree.boxes, _leaf_node(tree, leaf)
@@ -422,14 +496,14 @@ def middle_of_leaf(tree: Tree, leaf: int) -> int:
     y = 0.5 * boxes[node, 1] + 0.5 * boxes[node, 4]
     z = 0.5 * boxes[node, 2] + 0.5 * boxes[node, 5]
     best, least = leaf * LEAF_SIZE, np.inf
-    for i in range(leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.x.size)):
+    for i in range(leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)):
         distance = point_distance(tree, i, x, y, z)
         if distance < least:
             best, least = i, distance
     return best
 
 
-@njit(nogil=True)
+@compiled
 def bound_from(squared_reach: float, squared_distance: float) -> float:
     """Bound the squared distance of the k-th neighbour of a point from that of another point.
 

@@ -1,27 +1,30 @@
 """Which side of a plane a point of the grid lies on, exactly.
 
-With coordinates of at most 2^35 + 8 steps the determinant that decides is at most 2^110.6. In
-doubles it comes out within `UNCERTAIN` = 2^60 of the truth: differences of coordinates are exact;
-a component of the normal is off by at most 2^20; its product with a coordinate by 2^55.6; the four
-products and their sums by 2^59.3 together. A value beyond that has the true sign. A value within
-it shows that the true determinant, an integer, lies within 2^61: then arithmetic modulo 2^64, which
-is what 64-bit integers do, gives it exactly.
+Coordinates are multiples of 2^-50 and at most 1 + 2^-32. The determinant that decides comes out of
+doubles within `UNCERTAIN` = 2^-45 of the truth: differences of coordinates are exact; a component
+of the normal, at most 8, is off by at most 2^-50; its product with a coordinate by 2^-49.4; three
+products, the offset and their sums by 2^-45.7 together. A value beyond that has the true sign. A
+value within it needs integers: in steps of the grid a difference has 52 bits, and a determinant
+159 bits, but this one is known to be at most 2^106, so 128 bits hold it however the steps
+before it overflow.
 """
 
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
-from dynahull.kernels.frame import Neighbourhood
+from dynahull.kernels.compiled import compiled
+from dynahull.kernels.frame import STEP, Neighbourhood
+from dynahull.kernels.vectors import count_above
 
-UNCERTAIN = 2.0**105
-"""Largest error of the determinant in doubles, in cubic grid steps."""
+UNCERTAIN = 2.0**-45
+"""Largest error of the determinant in doubles."""
 
 
-@njit(nogil=True)
+@compiled
 def is_strictly_above_all(
     points: Neighbourhood,
     count: int,
@@ -47,10 +50,7 @@ def is_strictly_above_all(
     """
     x, y, z = points.x, points.y, points.z
     offset = normal_x * x[a] + normal_y * y[a] + normal_z * z[a]
-    near = 0
-    for i in range(np.uint64(count)):
-        side = (normal_x * x[i] + normal_y * y[i] + normal_z * z[i]) - offset
-        near += 1 if side > -UNCERTAIN else 0
+    near = count_above(x, y, z, count, (normal_x, normal_y, normal_z, offset, -UNCERTAIN))
     if near == 3:
         # The three themselves.
         return True
@@ -63,15 +63,15 @@ def is_strictly_above_all(
     return True
 
 
-SLIVER = 2.0**80
-"""Component of a normal below which its rounding, 2^51, would turn the plane noticeably."""
+SLIVER = 2.0**-20
+"""Component of a normal below which its rounding, 2^-50, would turn the plane noticeably."""
 
-_SPLIT = 1.5 * 2.0**78  # adding and subtracting it rounds to multiples of 2^26
+_SPLIT = 1.5 * 2.0**28  # adding and subtracting it rounds to multiples of 2^-24
 
 
-@njit(nogil=True)
+@compiled
 def accurate_minor(p: float, q: float, r: float, s: float) -> float:
-    """Return p s - q r of integers up to 2^51, to within 2^27 (Dekker 1971).
+    """Return p s - q r of differences of coordinates, to within 2^-73 (Dekker 1971).
 
     Halves of 26 bits have exact products, and exact differences of these.
     """
@@ -114,7 +114,7 @@ def _determinant_sign(
     return types.int64(*([types.int64] * 9)), generate
 
 
-@njit(nogil=True)
+@compiled
 def exact_side(
     points: Neighbourhood, a: np.uint64, b: np.uint64, c: np.uint64, i: np.uint64
 ) -> int:
@@ -124,13 +124,18 @@ def exact_side(
     """
     x, y, z = points.x, points.y, points.z
     return _determinant_sign(
-        np.int64(x[b] - x[a]),
-        np.int64(y[b] - y[a]),
-        np.int64(z[b] - z[a]),
-        np.int64(x[c] - x[a]),
-        np.int64(y[c] - y[a]),
-        np.int64(z[c] - z[a]),
-        np.int64(x[i] - x[a]),
-        np.int64(y[i] - y[a]),
-        np.int64(z[i] - z[a]),
+        _steps(x[b] - x[a]),
+        _steps(y[b] - y[a]),
+        _steps(z[b] - z[a]),
+        _steps(x[c] - x[a]),
+        _steps(y[c] - y[a]),
+        _steps(z[c] - z[a]),
+        _steps(x[i] - x[a]),
+        _steps(y[i] - y[a]),
+        _steps(z[i] - z[a]),
     )
+
+
+@compiled
+def _steps(difference: float) -> np.int64:
+    return np.int64(difference / STEP)

@@ -8,11 +8,17 @@ is `i + 1` and the right child `i + 2 * ((m + 1) // 2)`. Only the last leaf may 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from dynahull.kernels.compiled import compiled
 
 LEAF_SIZE = 32
 """Points in a leaf: four vectors of eight doubles."""
+
+
+def make_stack() -> NDArray[np.int64]:
+    """Make room to walk a tree: (node, first leaf, leaves) for each level and one more."""
+    return np.empty((64, 3), np.int64)
 
 
 class Tree(NamedTuple):
@@ -20,8 +26,8 @@ class Tree(NamedTuple):
 
     Attributes
     ----------
-    x, y, z : (n,) float64 arrays
-        The original coordinates, reordered.
+    x, y, z : (leaves * LEAF_SIZE,) float64 arrays
+        The original coordinates, reordered; infinite where the last leaf has no point.
     rows : (n,) int64 array
         Row numbers, reordered.
     order : (n,) uint32 array
@@ -38,23 +44,33 @@ class Tree(NamedTuple):
     boxes: NDArray[np.float64]
 
 
-@njit(nogil=True)
+def make_tree(points: NDArray[np.float64], rows: NDArray[np.int64]) -> Tree:
+    """Copy points and row numbers, to be put into order by `grow_tree`."""
+    count = len(points)
+    leaves = -(-count // LEAF_SIZE)
+    columns = [np.full(leaves * LEAF_SIZE, np.inf) for _ in range(3)]
+    for axis, column in enumerate(columns):
+        column[:count] = points[:, axis]
+    order = np.arange(count, dtype=np.uint32)
+    boxes = np.empty((2 * leaves - 1, 6))
+    return Tree(columns[0], columns[1], columns[2], rows.astype(np.int64), order, boxes)
+
+
+@compiled
 def leaf_count(point_count: int) -> int:
     """Return the number of leaves of a tree over so many points."""
     return (point_count + LEAF_SIZE - 1) // LEAF_SIZE
 
 
-@njit(nogil=True)
-def grow_tree(tree: Tree) -> None:
+@compiled
+def grow_tree(tree: Tree, stack: NDArray[np.int64]) -> None:
     """Put the points of `tree` into kd-tree order, in place, and fill in the boxes.
 
     Each node is split where its box is longest. A node whose points all share one place is put in
     the order of the row numbers instead, so that the nearest of them, by the tie rule, are its
-    first ones.
+    first ones. `stack` is a `make_stack`.
     """
-    point_count = tree.x.size
-    # A stack of (node, first leaf, leaves): the larger half is split last, so 64 entries suffice.
-    stack = np.empty((64, 3), np.int64)
+    point_count = tree.rows.size
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(point_count)
     depth = 1
     random = np.uint64(0x9E3779B97F4A7C15)
@@ -81,7 +97,7 @@ def grow_tree(tree: Tree) -> None:
         depth += 1
 
 
-@njit(nogil=True)
+@compiled
 def _measure(tree: Tree, node: int, begin: int, end: int) -> tuple[int, float]:
     """Fill in the box of a node; return its longest axis and the extent there."""
     longest, extent = 0, -1.0
@@ -99,7 +115,7 @@ def _measure(tree: Tree, node: int, begin: int, end: int) -> tuple[int, float]:
     return longest, extent
 
 
-@njit(nogil=True)
+@compiled
 def _split(
     tree: Tree, axis: int, begin: int, end: int, middle: int, random: np.uint64
 ) -> np.uint64:
@@ -138,12 +154,12 @@ def _split(
     return random
 
 
-@njit(nogil=True)
+@compiled
 def _median(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))
 
 
-@njit(nogil=True)
+@compiled
 def _swap(tree: Tree, i: int, j: int) -> None:
     tree.x[i], tree.x[j] = tree.x[j], tree.x[i]
     tree.y[i], tree.y[j] = tree.y[j], tree.y[i]
@@ -152,7 +168,7 @@ def _swap(tree: Tree, i: int, j: int) -> None:
     tree.order[i], tree.order[j] = tree.order[j], tree.order[i]
 
 
-@njit(nogil=True)
+@compiled
 def _sort_by_row(tree: Tree, begin: int, end: int) -> None:
     """Put points that share one place in the order of their row numbers (heap sort)."""
     size = end - begin
@@ -163,7 +179,7 @@ def _sort_by_row(tree: Tree, begin: int, end: int) -> None:
         _sift_down(tree, begin, 0, last)
 
 
-@njit(nogil=True)
+@compiled
 def _sift_down(tree: Tree, begin: int, start: int, size: int) -> None:
     parent = start
     while 2 * parent + 1 < size:
@@ -176,7 +192,7 @@ def _sift_down(tree: Tree, begin: int, start: int, size: int) -> None:
         parent = child
 
 
-@njit(nogil=True)
+@compiled
 def _swap_rows(tree: Tree, i: int, j: int) -> None:
     tree.rows[i], tree.rows[j] = tree.rows[j], tree.rows[i]
     tree.order[i], tree.order[j] = tree.order[j], tree.order[i]

@@ -1,0 +1,378 @@
+"""The innermost loops, written as vector instructions.
+
+A neighbourhood is a handful of vectors long. Loops that a compiler turns into vectors by itself
+are unrolled for long arrays, and spend most of so short a one before and after the vectors. These
+are written out for LLVM, as expressions over `Lanes`: 64 bytes of an array at a time, which
+machines with shorter registers do in halves or quarters, with the same bits.
+"""
+
+from collections.abc import Callable
+from typing import Any, Self
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+VECTOR_BYTES = 64
+
+INDEX_BITS, ROUGH_INDEX_BITS = 14, 7
+"""Lowest bits of a double, and of a single, that tell a point's index where the least is sought."""
+
+_INDEX = ir.IntType(64)
+
+
+def padded(count: int) -> int:
+    """Return a length of arrays that holds so many numbers in whole vectors."""
+    return (count + 15) // 16 * 16
+
+
+class Lanes:
+    """The lanes of one vector, or one number in all of them, as an expression."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder = builder
+        self.value = value
+
+    def __add__(self, other: Self) -> "Lanes":
+        return Lanes(self.builder, self.builder.fadd(self.value, other.value))
+
+    def __sub__(self, other: Self) -> "Lanes":
+        return Lanes(self.builder, self.builder.fsub(self.value, other.value))
+
+    def __mul__(self, other: Self) -> "Lanes":
+        return Lanes(self.builder, self.builder.fmul(self.value, other.value))
+
+    def __truediv__(self, other: Self) -> "Lanes":
+        return Lanes(self.builder, self.builder.fdiv(self.value, other.value))
+
+    def __lt__(self, other: Self) -> Any:
+        return self.builder.fcmp_ordered("<", self.value, other.value)
+
+    def where(self, condition: Any, other: Self) -> "Lanes":
+        """Take these lanes where a condition holds, and others elsewhere."""
+        return Lanes(self.builder, self.builder.select(condition, self.value, other.value))
+
+
+class VectorLoop:
+    """A loop over arrays of one type, `VECTOR_BYTES` at a time.
+
+    Parameters
+    ----------
+    context, builder
+        Of numba, where an intrinsic writes its code.
+    array_type
+        Numba's type of the arrays.
+    """
+
+    def __init__(self, context: Any, builder: Any, array_type: Any) -> None:
+        self.context = context
+        self.builder = builder
+        self.array_type = array_type
+        self.number = context.get_value_type(array_type.dtype)
+        self.lanes = VECTOR_BYTES * 8 // array_type.dtype.bitwidth
+        self.vector = ir.VectorType(self.number, self.lanes)
+        self.bits = ir.IntType(array_type.dtype.bitwidth)
+        self.bits_vector = ir.VectorType(self.bits, self.lanes)
+
+    def run(self, size: Any, body: Callable[[Any], None]) -> None:
+        """Write `body(index)` for the first index of every vector of arrays of a size."""
+        step = _INDEX(self.lanes)
+        with cgutils.for_range_slice(self.builder, _INDEX(0), size, step) as (index, _):
+            body(index)
+
+    def data(self, array: Any) -> Any:
+        """Return the address of an array's first element."""
+        return self.context.make_array(self.array_type)(self.context, self.builder, array).data
+
+    def load(self, data: Any, index: Any) -> Lanes:
+        """Read the vector at an index."""
+        address = self.builder.bitcast(self.builder.gep(data, [index]), self.vector.as_pointer())
+        return Lanes(
+            self.builder, self.builder.load(address, align=self.array_type.dtype.bitwidth // 8)
+        )
+
+    def store(self, lanes: Lanes, data: Any, index: Any) -> None:
+        """Write the vector at an index."""
+        address = self.builder.bitcast(self.builder.gep(data, [index]), self.vector.as_pointer())
+        self.builder.store(lanes.value, address, align=self.array_type.dtype.bitwidth // 8)
+
+    def same(self, value: Any) -> Lanes:
+        """Put one number into all lanes."""
+        return Lanes(self.builder, self._spread(value, self.vector))
+
+    def constant(self, value: float) -> Lanes:
+        """Put a constant into all lanes."""
+        return Lanes(self.builder, ir.Constant(self.vector, [value] * self.lanes))
+
+    def indices(self, index: Any) -> Any:
+        """Return the index of each lane, as integers as wide as the numbers."""
+        first = self.builder.trunc(index, self.bits) if self.bits.width < 64 else index
+        counting = ir.Constant(self.bits_vector, list(range(self.lanes)))
+        return self.builder.add(self._spread(first, self.bits_vector), counting)
+
+    def is_at(self, indices: Any, index: Any) -> Any:
+        """Tell which lanes have an index."""
+        wanted = self.builder.trunc(index, self.bits) if self.bits.width < 64 else index
+        return self.builder.icmp_unsigned("==", indices, self._spread(wanted, self.bits_vector))
+
+    def is_before(self, indices: Any, end: Any) -> Any:
+        """Tell which lanes have an index below an end: the last vector may go beyond it."""
+        end = self.builder.trunc(end, self.bits) if self.bits.width < 64 else end
+        return self.builder.icmp_signed("<", indices, self._spread(end, self.bits_vector))
+
+    def tagged(self, lanes: Lanes, indices: Any, tag_bits: int) -> Lanes:
+        """Put the indices into the lowest bits of the numbers."""
+        builder = self.builder
+        keep = ir.Constant(self.bits_vector, [-(2**tag_bits)] * self.lanes)
+        bits = builder.and_(builder.bitcast(lanes.value, self.bits_vector), keep)
+        return Lanes(builder, builder.bitcast(builder.or_(bits, indices), self.vector))
+
+    def reduced(self, lanes: Lanes, operation: str) -> Any:
+        """Return the smallest (`fmin`) or largest (`fmax`) of the numbers, none of them NaN."""
+        reduce = cgutils.get_or_insert_function(
+            self.builder.module,
+            ir.FunctionType(self.number, [self.vector]),
+            f"llvm.vector.reduce.{operation}.v{self.lanes}f{self.bits.width}",
+        )
+        return self.builder.call(reduce, [lanes.value], fastmath=("nnan", "nsz"))
+
+    def tag_of_least(self, lanes: Lanes, tag_bits: int) -> Any:
+        """Return the tag of the smallest number."""
+        builder = self.builder
+        bits = builder.bitcast(self.reduced(lanes, "fmin"), self.bits)
+        bits = builder.zext(bits, _INDEX) if self.bits.width < 64 else bits
+        return builder.and_(bits, _INDEX(2**tag_bits - 1))
+
+    def count(self, condition: Any) -> Any:
+        """Count the lanes for which a condition holds."""
+        mask = self.builder.bitcast(condition, ir.IntType(self.lanes))
+        return self.builder.zext(self.builder.ctpop(mask), _INDEX)
+
+    def _spread(self, value: Any, vector: Any) -> Any:
+        undefined = ir.Constant(vector, ir.Undefined)
+        first = self.builder.insert_element(undefined, value, ir.IntType(32)(0))
+        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), [0] * self.lanes)
+        return self.builder.shuffle_vector(first, undefined, everywhere)
+
+
+@intrinsic
+def point_met(
+    context: Any,
+    x: Any,
+    y: Any,
+    z: Any,
+    size: Any,
+    i: Any,
+    j: Any,
+    plane: Any,
+) -> Any:
+    """Return the point that a plane meets when it is turned over the edge from `i` to `j`.
+
+    Parameters
+    ----------
+    x, y, z : float32 or float64 arrays
+        Coordinates in [-1, 1], as many as fill whole vectors.
+    size : int
+        How many.
+    i, j : uint64
+        The edge.
+    plane : tuple of eight floats
+        `inward`, the direction in the plane away from the edge, its product with a point of the
+        edge; `normal`, and its product.
+
+    Of each point, `depth` is below the plane and `distance` from the edge along it, to one scale;
+    the point met has the largest angle, so the smallest cotangent; the first of equals.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        tag_bits = INDEX_BITS if loop.bits.width == 64 else ROUGH_INDEX_BITS
+        data = [loop.data(array) for array in arguments[:3]]
+        size, i, j = arguments[3:6]
+        numbers = cgutils.unpack_tuple(builder, arguments[6])
+        inward_x, inward_y, inward_z, margin, normal_x, normal_y, normal_z, height = (
+            loop.same(number) for number in numbers
+        )
+        least_depth, far = loop.constant(1e-30), loop.constant(1e36)
+        best = cgutils.alloca_once_value(builder, far.value)
+
+        def body(index: Any) -> None:
+            x, y, z = (loop.load(array, index) for array in data)
+            depth = height - (normal_x * x + normal_y * y + normal_z * z)
+            distance = (inward_x * x + inward_y * y + inward_z * z) - margin
+            cotangent = distance / depth.where(least_depth < depth, least_depth)
+            indices = loop.indices(index)
+            of_edge = builder.or_(loop.is_at(indices, i), loop.is_at(indices, j))
+            met = builder.and_(loop.is_before(indices, size), builder.not_(of_edge))
+            cotangent = loop.tagged(cotangent.where(met, far), indices, tag_bits)
+            so_far = Lanes(builder, builder.load(best))
+            builder.store(cotangent.where(cotangent < so_far, so_far).value, best)
+
+        loop.run(size, body)
+        return loop.tag_of_least(Lanes(builder, builder.load(best)), tag_bits)
+
+    return types.uint64(x, y, z, size, i, j, plane), generate
+
+
+@intrinsic
+def count_above(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any) -> Any:
+    """Count the points strictly above a plane.
+
+    Parameters
+    ----------
+    x, y, z : float arrays
+        Coordinates, as many as fill whole vectors.
+    size : int
+        How many.
+    plane : tuple of five floats
+        The normal, its product with a point of the plane, and the height from which on a point
+        counts.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        data = [loop.data(array) for array in arguments[:3]]
+        numbers = cgutils.unpack_tuple(builder, arguments[4])
+        normal_x, normal_y, normal_z, offset, limit = (loop.same(number) for number in numbers)
+        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+
+        def body(index: Any) -> None:
+            x, y, z = (loop.load(array, index) for array in data)
+            height = (normal_x * x + normal_y * y + normal_z * z) - offset
+            inside = loop.is_before(loop.indices(index), arguments[3])
+            more = loop.count(builder.and_(limit < height, inside))
+            builder.store(builder.add(builder.load(counted), more), counted)
+
+        loop.run(arguments[3], body)
+        return builder.load(counted)
+
+    return types.int64(x, y, z, size, plane), generate
+
+
+@intrinsic
+def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
+    """Count the values up to and including a limit, among the first ones.
+
+    Parameters
+    ----------
+    values : float array
+    size : uint64
+        How many, as many as fill whole vectors.
+    limit : float
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        data = loop.data(arguments[0])
+        limit = loop.same(arguments[2])
+        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+
+        def body(index: Any) -> None:
+            beyond = loop.count(limit < loop.load(data, index))
+            more = builder.sub(_INDEX(loop.lanes), beyond)
+            builder.store(builder.add(builder.load(counted), more), counted)
+
+        loop.run(arguments[1], body)
+        return builder.load(counted)
+
+    return types.int64(values, size, limit), generate
+
+
+@intrinsic
+def count_below(context: Any, values: Any, size: Any, limit: Any) -> Any:
+    """Count the values smaller than a limit, among the first ones.
+
+    Parameters
+    ----------
+    values : float array
+        As long as whole vectors; those beyond `size` are not counted.
+    size : uint64
+        How many.
+    limit : float
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        data = loop.data(arguments[0])
+        limit = loop.same(arguments[2])
+        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+
+        def body(index: Any) -> None:
+            inside = loop.is_before(loop.indices(index), arguments[1])
+            more = loop.count(builder.and_(loop.load(data, index) < limit, inside))
+            builder.store(builder.add(builder.load(counted), more), counted)
+
+        loop.run(arguments[1], body)
+        return builder.load(counted)
+
+    return types.int64(values, size, limit), generate
+
+
+@intrinsic
+def box_distances(context: Any, boxes: Any, size: Any, place: Any, result: Any) -> Any:
+    """Compute the squared distances of boxes from a place.
+
+    Parameters
+    ----------
+    boxes : tuple of six float arrays
+        Lowest x, y, z and highest x, y, z, as long as whole vectors.
+    size : uint64
+        How many.
+    place : tuple of three floats
+    result : float array
+        As long; overwritten.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[3])
+        sides = [loop.data(array) for array in cgutils.unpack_tuple(builder, arguments[0])]
+        place = [loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[2])]
+        result = loop.data(arguments[3])
+        nothing = loop.constant(0.0)
+
+        def body(index: Any) -> None:
+            squares = []
+            for low, value, high in zip(sides[:3], place, sides[3:], strict=True):
+                below, above = loop.load(low, index) - value, value - loop.load(high, index)
+                outside = above.where(below < above, below)
+                gap = outside.where(nothing < outside, nothing)
+                squares.append(gap * gap)
+            loop.store((squares[0] + squares[1]) + squares[2], result, index)
+
+        loop.run(arguments[1], body)
+        return context.get_dummy_value()
+
+    return types.void(boxes, size, place, result), generate
+
+
+@intrinsic
+def largest(context: Any, values: Any, size: Any) -> Any:
+    """Return the largest of the first values; there is one at least, and none is NaN."""
+    return values.dtype(values, size), _extreme("fmax")
+
+
+@intrinsic
+def smallest(context: Any, values: Any, size: Any) -> Any:
+    """Return the smallest of the first values; there is one at least, and none is NaN."""
+    return values.dtype(values, size), _extreme("fmin")
+
+
+def _extreme(operation: str) -> Callable[..., Any]:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        data = loop.data(arguments[0])
+        first = loop.same(builder.load(data))
+        best = cgutils.alloca_once_value(builder, first.value)
+
+        def body(index: Any) -> None:
+            inside = loop.is_before(loop.indices(index), arguments[1])
+            values = loop.load(data, index).where(inside, first)
+            so_far = Lanes(builder, builder.load(best))
+            better = values < so_far if operation == "fmin" else so_far < values
+            builder.store(values.where(better, so_far).value, best)
+
+        loop.run(arguments[1], body)
+        return loop.reduced(Lanes(builder, builder.load(best)), operation)
+
+    return generate
