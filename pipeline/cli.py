@@ -128,6 +128,14 @@ def simulate_command(
     typer.echo(f"written: {output / 'map.pcd'} and its truth beside it")
 
 
+@app.command("keys")
+def keys_command() -> None:
+    """Show every key of the configuration: its meaning, unit, default, and what is allowed."""
+    from pipeline.configuration_page import configuration_page  # noqa: PLC0415
+
+    typer.echo(configuration_page(), nl=False)
+
+
 def main() -> NoReturn:
     """Run the command line, and turn every error that is expected into one line."""
     logging.basicConfig(

@@ -88,6 +88,7 @@ def run(
             write_labels(result, staging / LABELS_FILE)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
+        observer.advance(collection.point_count)
         observer.finish()
         if _states(paths) != before:
             raise InputChangedError(f"{paths[0]}: the map changed while it was being cleaned")

@@ -6,6 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from pipeline.configuration import Configuration, load_configuration, ready_configurations
+from pipeline.configuration_page import configuration_page
 from pipeline.errors import ConfigurationError
 
 READY = sorted(path.stem for path in (Path(__file__).parents[2] / "configs").glob("*.yaml"))
@@ -96,6 +97,14 @@ def test_mistakes_in_a_setting_are_one_line(setting, message):
 def test_a_missing_file_names_the_ready_configurations():
     with pytest.raises(ConfigurationError, match=r"nowhere.yaml: .* \(indoor, outdoor, paper\)"):
         load_configuration("nowhere.yaml")
+
+
+def test_the_page_in_the_documentation_is_up_to_date():
+    page = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
+    assert page == configuration_page(), "dynahull-pipeline keys > docs/configuration.md"
+    assert "| `neighbours.k` | 75 | whole number, >= 4, <= 1000 |" in page
+    assert "| `max_height` | null | number, null, > 0 |" in page
+    assert "| `execution.workers` | auto | whole number, `auto` |" in page
 
 
 def test_every_key_is_documented():
