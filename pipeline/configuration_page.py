@@ -35,10 +35,8 @@ def _tables(model: type[BaseModel], place: str) -> str:
         if isinstance(inner, type) and issubclass(inner, BaseModel):
             sections.append(_tables(inner, f"{place}{name}."))
         else:
-            default = "null" if field.default is None else str(field.default)
-            rows.append(
-                f"| `{place}{name}` | {default} | {_allowed(field)} | {field.description} |"
-            )
+            default, allowed = _written(field.default), _allowed(field)
+            rows.append(f"| `{place}{name}` | {default} | {allowed} | {field.description} |")
     table = ["| key | default | allowed | |", "|---|---|---|---|", *rows, ""] if rows else []
     heading = [f"## {place.rstrip('.')}", ""] if place else []
     return "\n".join([*heading, *table, *sections])
