@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dynahull.hull import FLATNESS
 from dynahull.kernels.compiled import compiled
-from dynahull.kernels.vectors import largest, padded, smallest
+from dynahull.kernels.vectors import aligned, largest, padded, smallest
 
 STEP = 2.0**-50
 """The grid's step, in units of the frame."""
@@ -70,18 +70,18 @@ def make_neighbourhood(most: int) -> Neighbourhood:
     """Make room for at most so many points."""
     size = padded(most)
     return Neighbourhood(
-        dx=np.zeros(size),
-        dy=np.zeros(size),
-        dz=np.zeros(size),
-        length=np.zeros(size),
-        width=np.zeros(size),
-        thickness=np.zeros(size),
-        x=np.zeros(size),
-        y=np.zeros(size),
-        z=np.zeros(size),
-        rough_x=np.zeros(size, np.float32),
-        rough_y=np.zeros(size, np.float32),
-        rough_z=np.zeros(size, np.float32),
+        dx=aligned(size),
+        dy=aligned(size),
+        dz=aligned(size),
+        length=aligned(size),
+        width=aligned(size),
+        thickness=aligned(size),
+        x=aligned(size),
+        y=aligned(size),
+        z=aligned(size),
+        rough_x=aligned(size, np.float32),
+        rough_y=aligned(size, np.float32),
+        rough_z=aligned(size, np.float32),
         shake=_shakes(size),
     )
 

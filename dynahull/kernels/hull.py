@@ -11,7 +11,7 @@ each facet found must have all other points strictly below it, by the exact pred
 triangles are facets of the hull beyond doubt, and once every edge has its two sides there are no
 others. So it does not matter to any bit of the result that turns are first tried in single
 precision, which is right but for points nearly coplanar, and only then in double. A wrapping that
-still does not close, or is not certified, is repeated with the points shaken otherwise.
+still contradicts itself is repeated with the points shaken otherwise.
 """
 
 from typing import NamedTuple
@@ -20,9 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled
-from dynahull.kernels.frame import SHAKES, Neighbourhood, enter_frame, place_of_largest, set_on_grid
-from dynahull.kernels.predicates import SLIVER, accurate_minor, is_strictly_above_all
-from dynahull.kernels.vectors import ROUGH_INDEX_BITS, point_met
+from dynahull.kernels.frame import (
+    SHAKES,
+    Neighbourhood,
+    enter_frame,
+    place_of_largest,
+    set_on_grid,
+)
+from dynahull.kernels.predicates import (
+    ROUGHLY_UNCERTAIN,
+    SLIVER,
+    UNCERTAIN,
+    accurate_minor,
+    is_above_all_others,
+)
+from dynahull.kernels.vectors import ROUGH_INDEX_BITS, aligned, depths_below, padded, point_met
 
 
 class Surface(NamedTuple):
@@ -30,30 +42,40 @@ class Surface(NamedTuple):
 
     Attributes
     ----------
-    corners : (3, capacity) uint64 array
+    a, b, c : (facets,) uint64 arrays
         Points of each facet, anticlockwise seen from outside.
-    normals : (3, capacity) float64 array
+    normal_x, normal_y, normal_z : (facets,) float64 arrays
         Outward normal of each facet on the grid, as long as twice its area.
-    open_edges : (3, capacity) uint64 array
-        A stack: from which point to which, and the facet on its left.
     has_facet : (points, points) bool array
         Whether an edge, by its two points in order, has a facet on its left.
+    depth, rough_depth : (points,) float64 and float32 arrays
+        Depth of each point below the present facet, times the length of the normal.
     """
 
-    corners: NDArray[np.uint64]
-    normals: NDArray[np.float64]
-    open_edges: NDArray[np.uint64]
+    a: NDArray[np.uint64]
+    b: NDArray[np.uint64]
+    c: NDArray[np.uint64]
+    normal_x: NDArray[np.float64]
+    normal_y: NDArray[np.float64]
+    normal_z: NDArray[np.float64]
     has_facet: NDArray[np.bool_]
+    depth: NDArray[np.float64]
+    rough_depth: NDArray[np.float32]
 
 
 def make_surface(most: int) -> Surface:
     """Make room for the hull of at most so many points."""
     facets = 2 * most
     return Surface(
-        np.empty((3, facets), np.uint64),
-        np.empty((3, facets)),
-        np.empty((3, 3 * facets), np.uint64),
-        np.zeros((most, most), np.bool_),
+        a=np.empty(facets, np.uint64),
+        b=np.empty(facets, np.uint64),
+        c=np.empty(facets, np.uint64),
+        normal_x=np.empty(facets),
+        normal_y=np.empty(facets),
+        normal_z=np.empty(facets),
+        has_facet=np.zeros((most, most), np.bool_),
+        depth=aligned(padded(most)),
+        rough_depth=aligned(padded(most), np.float32),
     )
 
 
@@ -89,59 +111,100 @@ def hull_volume(
         return 0.0, rough_first
     set_on_grid(points, count, 0)
     if rough_first and count <= 2**ROUGH_INDEX_BITS:
-        facets = _wrap(points, count, surface, True)
-        if facets > 0 and _is_certified(points, count, surface, facets):
-            return unit * _enclosed(points, surface, facets), True
+        volume = _wrap(points, count, surface, True)
+        if volume >= 0.0:
+            return unit * volume, True
     for attempt in range(SHAKES):
         if attempt > 0:
             set_on_grid(points, count, attempt)
-        facets = _wrap(points, count, surface, False)
-        if facets > 0 and _is_certified(points, count, surface, facets):
-            return unit * _enclosed(points, surface, facets), False
+        volume = _wrap(points, count, surface, False)
+        if volume >= 0.0:
+            return unit * volume, False
     return np.nan, False
 
 
 @compiled
-def _wrap(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> int:
-    """Find the facets of the hull; return their number, or -1 where the turns contradict."""
-    x, y, z = points.x, points.y, points.z
-    # A plane through the outermost point, turned about the y axis, then about the edge it meets.
-    a = place_of_largest(points.x, np.uint64(count))
-    b = _turn(points, count, surface, rough, a, a, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0)
-    dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-    c = _turn(points, count, surface, rough, a, b, dx, dy, dz, -dz, 0.0, dx)
-    _add_facet(points, surface, np.uint64(0), b, a, c)
-    depth = _open_edges(surface, np.uint64(0), 0)
-    facets = 1
-    while depth > 0:
-        depth -= 1
-        slot = np.uint64(depth)
-        i, j = surface.open_edges[0, slot], surface.open_edges[1, slot]
-        facet = surface.open_edges[2, slot]
-        if surface.has_facet[j, i]:
-            continue
-        apex = _turn(
-            points,
-            count,
-            surface,
-            rough,
-            i,
-            j,
-            x[j] - x[i],
-            y[j] - y[i],
-            z[j] - z[i],
-            surface.normals[0, facet],
-            surface.normals[1, facet],
-            surface.normals[2, facet],
-        )
-        if facets == 2 * count - 4 or surface.has_facet[i, apex] or surface.has_facet[apex, j]:
-            _forget_edges(surface, facets)
-            return -1
-        _add_facet(points, surface, np.uint64(facets), j, i, apex)
-        depth = _open_edges(surface, np.uint64(facets), depth)
-        facets += 1
+def _wrap(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> float:
+    """Find the facets of the hull; return the volume inside, or -1 where they contradict."""
+    _find_first_facet(points, count, surface, rough)
+    facets, done = 1, 0
+    volume = 0.0
+    while done < facets and volume >= 0.0:
+        facet = np.uint64(done)
+        a, b, c = surface.a[facet], surface.b[facet], surface.c[facet]
+        if not _measure_depths(points, count, surface, rough, facet):
+            volume = -1.0
+            break
+        volume += _tetrahedron(points, a, b, c)
+        for i, j in ((a, b), (b, c), (c, a)):
+            if surface.has_facet[j, i]:
+                continue
+            apex = _turn(points, count, surface, rough, facet, i, j)
+            if facets == 2 * count - 4 or surface.has_facet[i, apex] or surface.has_facet[apex, j]:
+                volume = -1.0
+                break
+            _add_facet(points, surface, np.uint64(facets), j, i, apex)
+            facets += 1
+        done += 1
     _forget_edges(surface, facets)
-    return facets
+    return volume
+
+
+@compiled
+def _find_first_facet(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> None:
+    """Turn a plane through the outermost point about the y axis, then about the edge it meets."""
+    x, y, z = points.x, points.y, points.z
+    a = place_of_largest(x, np.uint64(count))
+    _depths(points, count, surface, rough, a, 1.0, 0.0, 0.0)
+    b = _point_met(points, count, surface, rough, a, a, 0.0, 0.0, 1.0)
+    dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
+    _depths(points, count, surface, rough, a, -dz, 0.0, dx)
+    c = _point_met(points, count, surface, rough, a, b, -dx * dy, dz * dz + dx * dx, -dz * dy)
+    _add_facet(points, surface, np.uint64(0), b, a, c)
+
+
+@compiled
+def _measure_depths(
+    points: Neighbourhood, count: int, surface: Surface, rough: bool, facet: np.uint64
+) -> bool:
+    """Measure the depths of all points below a facet; tell whether they are below it for sure."""
+    a, b, c = surface.a[facet], surface.b[facet], surface.c[facet]
+    normal_x, normal_y, normal_z = (
+        surface.normal_x[facet],
+        surface.normal_y[facet],
+        surface.normal_z[facet],
+    )
+    near = _depths(points, count, surface, rough, a, normal_x, normal_y, normal_z)
+    # The three themselves are always near.
+    return near == 3 or is_above_all_others(points, count, a, b, c, normal_x, normal_y, normal_z)
+
+
+@compiled
+def _depths(
+    points: Neighbourhood,
+    count: int,
+    surface: Surface,
+    rough: bool,
+    a: np.uint64,
+    normal_x: float,
+    normal_y: float,
+    normal_z: float,
+) -> int:
+    """Measure the depths below a plane through a point; count those that are not surely below."""
+    height = normal_x * points.x[a] + normal_y * points.y[a] + normal_z * points.z[a]
+    if rough:
+        largest = max(abs(normal_x), abs(normal_y), abs(normal_z))
+        rough_plane = (
+            np.float32(normal_x),
+            np.float32(normal_y),
+            np.float32(normal_z),
+            np.float32(height),
+            np.float32(ROUGHLY_UNCERTAIN * largest),
+        )
+        x, y, z = points.rough_x, points.rough_y, points.rough_z
+        return depths_below(x, y, z, count, rough_plane, surface.rough_depth)
+    plane = (normal_x, normal_y, normal_z, height, UNCERTAIN)
+    return depths_below(points.x, points.y, points.z, count, plane, surface.depth)
 
 
 @compiled
@@ -150,35 +213,50 @@ def _turn(
     count: int,
     surface: Surface,
     rough: bool,
+    facet: np.uint64,
     i: np.uint64,
     j: np.uint64,
-    edge_x: float,
-    edge_y: float,
-    edge_z: float,
-    normal_x: float,
-    normal_y: float,
-    normal_z: float,
 ) -> np.uint64:
     """Turn a facet's plane over its edge from `i` to `j` until it meets a point; return that."""
+    normal_x, normal_y, normal_z = (
+        surface.normal_x[facet],
+        surface.normal_y[facet],
+        surface.normal_z[facet],
+    )
+    edge_x = points.x[j] - points.x[i]
+    edge_y = points.y[j] - points.y[i]
+    edge_z = points.z[j] - points.z[i]
     inward_x = normal_y * edge_z - normal_z * edge_y
     inward_y = normal_z * edge_x - normal_x * edge_z
     inward_z = normal_x * edge_y - normal_y * edge_x
-    height = normal_x * points.x[i] + normal_y * points.y[i] + normal_z * points.z[i]
+    return _point_met(points, count, surface, rough, i, j, inward_x, inward_y, inward_z)
+
+
+@compiled
+def _point_met(
+    points: Neighbourhood,
+    count: int,
+    surface: Surface,
+    rough: bool,
+    i: np.uint64,
+    j: np.uint64,
+    inward_x: float,
+    inward_y: float,
+    inward_z: float,
+) -> np.uint64:
+    """Return the point met; `inward` is the direction in the plane away from the edge."""
     margin = inward_x * points.x[i] + inward_y * points.y[i] + inward_z * points.z[i]
     if rough:
-        rough_plane = (
+        rough_inward = (
             np.float32(inward_x),
             np.float32(inward_y),
             np.float32(inward_z),
             np.float32(margin),
-            np.float32(normal_x),
-            np.float32(normal_y),
-            np.float32(normal_z),
-            np.float32(height),
         )
-        return point_met(points.rough_x, points.rough_y, points.rough_z, count, i, j, rough_plane)
-    plane = (inward_x, inward_y, inward_z, margin, normal_x, normal_y, normal_z, height)
-    return point_met(points.x, points.y, points.z, count, i, j, plane)
+        x, y, z = points.rough_x, points.rough_y, points.rough_z
+        return point_met(x, y, z, surface.rough_depth, count, i, j, rough_inward)
+    inward = (inward_x, inward_y, inward_z, margin)
+    return point_met(points.x, points.y, points.z, surface.depth, count, i, j, inward)
 
 
 @compiled
@@ -197,15 +275,13 @@ def _add_facet(
     normal_x = by * cz - bz * cy
     normal_y = bz * cx - bx * cz
     normal_z = bx * cy - by * cx
-    largest = max(abs(normal_x), abs(normal_y), abs(normal_z))
-    if largest < SLIVER:
+    if max(abs(normal_x), abs(normal_y), abs(normal_z)) < SLIVER:
         normal_x = accurate_minor(by, bz, cy, cz)
         normal_y = accurate_minor(bz, bx, cz, cx)
         normal_z = accurate_minor(bx, by, cx, cy)
-    surface.normals[0, facet] = normal_x
-    surface.normals[1, facet] = normal_y
-    surface.normals[2, facet] = normal_z
-    surface.corners[0, facet], surface.corners[1, facet], surface.corners[2, facet] = a, b, c
+    surface.normal_x[facet], surface.normal_y[facet] = normal_x, normal_y
+    surface.normal_z[facet] = normal_z
+    surface.a[facet], surface.b[facet], surface.c[facet] = a, b, c
     surface.has_facet[a, b] = True
     surface.has_facet[b, c] = True
     surface.has_facet[c, a] = True
@@ -215,54 +291,18 @@ def _add_facet(
 def _forget_edges(surface: Surface, facets: int) -> None:
     """Make `has_facet` ready for the next neighbourhood."""
     for f in range(np.uint64(facets)):
-        a, b, c = surface.corners[0, f], surface.corners[1, f], surface.corners[2, f]
+        a, b, c = surface.a[f], surface.b[f], surface.c[f]
         surface.has_facet[a, b] = False
         surface.has_facet[b, c] = False
         surface.has_facet[c, a] = False
 
 
 @compiled
-def _open_edges(surface: Surface, facet: np.uint64, depth: int) -> int:
-    """Push the edges of a facet that have none on their other side; return the stack's depth."""
-    corners = surface.corners
-    a, b, c = corners[0, facet], corners[1, facet], corners[2, facet]
-    for i, j in ((a, b), (b, c), (c, a)):
-        if not surface.has_facet[j, i]:
-            slot = np.uint64(depth)
-            surface.open_edges[0, slot] = i
-            surface.open_edges[1, slot] = j
-            surface.open_edges[2, slot] = facet
-            depth += 1
-    return depth
-
-
-@compiled
-def _is_certified(points: Neighbourhood, count: int, surface: Surface, facets: int) -> bool:
-    for f in range(np.uint64(facets)):
-        if not is_strictly_above_all(
-            points,
-            count,
-            surface.corners[0, f],
-            surface.corners[1, f],
-            surface.corners[2, f],
-            surface.normals[0, f],
-            surface.normals[1, f],
-            surface.normals[2, f],
-        ):
-            return False
-    return True
-
-
-@compiled
-def _enclosed(points: Neighbourhood, surface: Surface, facets: int) -> float:
-    """Sum the tetrahedra of all facets with the query, in the frame."""
+def _tetrahedron(points: Neighbourhood, a: np.uint64, b: np.uint64, c: np.uint64) -> float:
+    """Return the volume, in the frame and not shaken, of a facet's tetrahedron with the query."""
     u, v, w = points.length, points.width, points.thickness
-    total = 0.0
-    for f in range(np.uint64(facets)):
-        a, b, c = surface.corners[0, f], surface.corners[1, f], surface.corners[2, f]
-        total += (
-            u[a] * (v[b] * w[c] - w[b] * v[c])
-            + v[a] * (w[b] * u[c] - u[b] * w[c])
-            + w[a] * (u[b] * v[c] - v[b] * u[c])
-        )
-    return total / 6.0
+    return (
+        u[a] * (v[b] * w[c] - w[b] * v[c])
+        + v[a] * (w[b] * u[c] - u[b] * w[c])
+        + w[a] * (u[b] * v[c] - v[b] * u[c])
+    ) / 6.0

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled
 from dynahull.kernels.tree import LEAF_SIZE, Tree, leaf_count, make_stack
-from dynahull.kernels.vectors import box_distances, count_below, count_up_to, padded
+from dynahull.kernels.vectors import aligned, box_distances, count_below, count_up_to, padded
 
 SLACK = 8
 """Points beyond the k-th that counting may leave in: sorting them is cheaper than counting on."""
 
 _PROBES = 10
+_HOPE = 1.25  # in squared distance
 _SAFE = 1.0 + 1e-9  # covers the rounding of the triangle inequality
 _TINY = 1e-290  # and the squares that underflow
 
@@ -88,15 +89,15 @@ def make_candidates(k: int) -> Candidates:
     size = padded(max(128, k))
     return Candidates(
         leaf=np.empty(size, np.int64),
-        low_x=np.empty(size),
-        low_y=np.empty(size),
-        low_z=np.empty(size),
-        high_x=np.empty(size),
-        high_y=np.empty(size),
-        high_z=np.empty(size),
-        gap=np.empty(size),
+        low_x=aligned(size),
+        low_y=aligned(size),
+        low_z=aligned(size),
+        high_x=aligned(size),
+        high_y=aligned(size),
+        high_z=aligned(size),
+        gap=aligned(size),
         near=np.empty(size, np.int64),
-        distance=np.empty(size * LEAF_SIZE),
+        distance=aligned(size * LEAF_SIZE),
         stack=make_stack(),
         stack_gap=np.empty(64),
     )
@@ -105,7 +106,7 @@ def make_candidates(k: int) -> Candidates:
 def make_nearest(k: int) -> Nearest:
     """Make room for the neighbours of one query."""
     size = padded(2 * k + SLACK + LEAF_SIZE)
-    key = np.empty(size, np.float32)
+    key = aligned(size, np.float32)
     return Nearest(
         np.empty(size),
         np.empty(size, np.uint32),
@@ -197,18 +198,19 @@ def search_list(
     int
         Points left in `nearest`: the k nearest and perhaps a few more, unsorted.
     """
-    leaves = _select_leaves(x, y, z, squared_bound, candidates, count)
     distance = candidates.distance
-    for i in range(leaves):
-        out = i * np.uint64(LEAF_SIZE)
-        first = np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE)
-        for j in range(np.uint64(LEAF_SIZE)):
-            dx = tree.x[first + j] - x
-            dy = tree.y[first + j] - y
-            dz = tree.z[first + j] - z
-            distance[out + j] = (dx * dx + dy * dy) + dz * dz
+    # Most often the neighbours lie about as far as those of the query before. If there are k
+    # within that, all points within that have been seen.
+    high = min(_HOPE * guess, squared_bound)
+    leaves = _measure_leaves(tree, x, y, z, high, candidates, count)
     size = leaves * np.uint64(LEAF_SIZE)
-    threshold, within = _count_to_threshold(distance, size, k, guess, squared_bound)
+    high_count = count_up_to(distance, size, high)
+    if high_count < k:
+        high = squared_bound
+        leaves = _measure_leaves(tree, x, y, z, high, candidates, count)
+        size = leaves * np.uint64(LEAF_SIZE)
+        high_count = count_up_to(distance, size, high)
+    threshold, within = _count_to_threshold(distance, size, k, high, high_count)
     if within > k + SLACK + k // 2:
         return _keep_nearest(tree, k, threshold, candidates, leaves, nearest)
     filled = np.uint64(0)
@@ -223,10 +225,16 @@ def search_list(
 
 
 @compiled
-def _select_leaves(
-    x: float, y: float, z: float, squared_bound: float, candidates: Candidates, count: int
+def _measure_leaves(
+    tree: Tree,
+    x: float,
+    y: float,
+    z: float,
+    squared_bound: float,
+    candidates: Candidates,
+    count: int,
 ) -> np.uint64:
-    """List the candidate leaves within a distance of a query; return how many there are."""
+    """Measure the points of the leaves within a distance of a query; return how many leaves."""
     boxes = (
         candidates.low_x,
         candidates.low_y,
@@ -240,6 +248,14 @@ def _select_leaves(
     for i in range(np.uint64(count)):
         candidates.near[selected] = candidates.leaf[i]
         selected += np.uint64(candidates.gap[i] <= squared_bound)
+    for i in range(selected):
+        out = i * np.uint64(LEAF_SIZE)
+        first = np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE)
+        for j in range(np.uint64(LEAF_SIZE)):
+            dx = tree.x[first + j] - x
+            dy = tree.y[first + j] - y
+            dz = tree.z[first + j] - z
+            candidates.distance[out + j] = (dx * dx + dy * dy) + dz * dz
     return selected
 
 
@@ -272,37 +288,27 @@ def _keep_nearest(
 
 @compiled
 def _count_to_threshold(
-    distance: NDArray[np.float64], size: np.uint64, k: int, guess: float, squared_bound: float
+    distance: NDArray[np.float64], size: np.uint64, k: int, high: float, high_count: int
 ) -> tuple[float, int]:
-    """Find a squared distance within which lie k candidates, and few more where ties allow."""
+    """Find a squared distance within which lie k candidates, and few more where ties allow.
+
+    There are `high_count` of them, at least k, within `high`.
+    """
     low, low_count = 0.0, 0
-    high, high_count = squared_bound, 0
-    probe = min(guess, squared_bound)
     for _ in range(_PROBES):
-        within = _count_within(distance, size, probe)
+        if high_count <= k + SLACK:
+            break
+        # Neighbours on a surface grow in number as the squared distance does.
+        share = (k + 0.5 * SLACK - low_count) / (high_count - low_count)
+        probe = low + share * (high - low)
+        if not low < probe < high:
+            break
+        within = count_up_to(distance, size, probe)
         if within >= k:
             high, high_count = probe, within
-            if within <= k + SLACK:
-                break
         else:
             low, low_count = probe, within
-        # Neighbours of a surface grow in number as the squared distance does.
-        if high_count:
-            share = (k + 0.5 * SLACK - low_count) / (high_count - low_count)
-            probe = low + min(share, 0.9) * (high - low)
-        else:
-            probe = min(low * (k + 0.5 * SLACK) / max(low_count, 1), high)
-            probe = high if probe <= low else probe
-        if not low < probe < high and high_count:
-            break
-    if high_count == 0:
-        high_count = _count_within(distance, size, high)
     return high, high_count
-
-
-@compiled
-def _count_within(distance: NDArray[np.float64], size: np.uint64, threshold: float) -> int:
-    return count_up_to(distance, size, threshold)
 
 
 @compiled

@@ -18,14 +18,16 @@ from numba.extending import intrinsic
 
 from dynahull.kernels.compiled import compiled
 from dynahull.kernels.frame import STEP, Neighbourhood
-from dynahull.kernels.vectors import count_above
 
 UNCERTAIN = 2.0**-45
 """Largest error of the determinant in doubles."""
 
+ROUGHLY_UNCERTAIN = 2.0**-19
+"""Largest error of the determinant in singles, in shares of the normal's largest component."""
+
 
 @compiled
-def is_strictly_above_all(
+def is_above_all_others(
     points: Neighbourhood,
     count: int,
     a: np.uint64,
@@ -49,16 +51,12 @@ def is_strictly_above_all(
         Normal of the plane, (b - a) x (c - a) in doubles.
     """
     x, y, z = points.x, points.y, points.z
-    offset = normal_x * x[a] + normal_y * y[a] + normal_z * z[a]
-    near = count_above(x, y, z, count, (normal_x, normal_y, normal_z, offset, -UNCERTAIN))
-    if near == 3:
-        # The three themselves.
-        return True
+    height = normal_x * x[a] + normal_y * y[a] + normal_z * z[a]
     for i in range(np.uint64(count)):
-        side = (normal_x * x[i] + normal_y * y[i] + normal_z * z[i]) - offset
-        if side <= -UNCERTAIN or i in (a, b, c):
+        depth = height - (normal_x * x[i] + normal_y * y[i] + normal_z * z[i])
+        if depth > UNCERTAIN or i in (a, b, c):
             continue
-        if side > UNCERTAIN or exact_side(points, a, b, c, i) >= 0:
+        if depth < -UNCERTAIN or exact_side(points, a, b, c, i) >= 0:
             return False
     return True
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled
+from dynahull.kernels.vectors import aligned
 
 LEAF_SIZE = 32
 """Points in a leaf: four vectors of eight doubles."""
@@ -48,9 +49,10 @@ def make_tree(points: NDArray[np.float64], rows: NDArray[np.int64]) -> Tree:
     """Copy points and row numbers, to be put into order by `grow_tree`."""
     count = len(points)
     leaves = -(-count // LEAF_SIZE)
-    columns = [np.full(leaves * LEAF_SIZE, np.inf) for _ in range(3)]
+    columns = [aligned(leaves * LEAF_SIZE) for _ in range(3)]
     for axis, column in enumerate(columns):
         column[:count] = points[:, axis]
+        column[count:] = np.inf
     order = np.arange(count, dtype=np.uint32)
     boxes = np.empty((2 * leaves - 1, 6))
     return Tree(columns[0], columns[1], columns[2], rows.astype(np.int64), order, boxes)

@@ -9,10 +9,12 @@ machines with shorter registers do in halves or quarters, with the same bits.
 from collections.abc import Callable
 from typing import Any, Self
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 VECTOR_BYTES = 64
 
@@ -25,6 +27,14 @@ _INDEX = ir.IntType(64)
 def padded(count: int) -> int:
     """Return a length of arrays that holds so many numbers in whole vectors."""
     return (count + 15) // 16 * 16
+
+
+def aligned(size: int, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return an array of zeros whose first element begins a vector."""
+    bytes_wanted = size * np.dtype(dtype).itemsize
+    room = np.zeros(bytes_wanted + VECTOR_BYTES, np.uint8)
+    begin = -room.ctypes.data % VECTOR_BYTES
+    return room[begin : begin + bytes_wanted].view(dtype)
 
 
 class Lanes:
@@ -157,49 +167,80 @@ class VectorLoop:
 
 
 @intrinsic
-def point_met(
-    context: Any,
-    x: Any,
-    y: Any,
-    z: Any,
-    size: Any,
-    i: Any,
-    j: Any,
-    plane: Any,
-) -> Any:
-    """Return the point that a plane meets when it is turned over the edge from `i` to `j`.
+def depths_below(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, depths: Any) -> Any:
+    """Measure how deep points lie below a plane, and count those at most `least` deep.
 
     Parameters
     ----------
     x, y, z : float32 or float64 arrays
-        Coordinates in [-1, 1], as many as fill whole vectors.
+        Coordinates.
+    size : int
+        How many.
+    plane : tuple of five floats
+        The normal, its product with a point of the plane, and `least`.
+    depths : float array
+        Overwritten.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        data = [loop.data(array) for array in arguments[:3]]
+        size, plane, depths = arguments[3], arguments[4], loop.data(arguments[5])
+        normal_x, normal_y, normal_z, height, least = (
+            loop.same(number) for number in cgutils.unpack_tuple(builder, plane)
+        )
+        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+
+        def body(index: Any) -> None:
+            x, y, z = (loop.load(array, index) for array in data)
+            depth = height - (normal_x * x + normal_y * y + normal_z * z)
+            loop.store(depth, depths, index)
+            inside = loop.is_before(loop.indices(index), size)
+            # Counted are those not known to be deeper.
+            shallow = builder.and_(builder.not_(least < depth), inside)
+            builder.store(builder.add(builder.load(counted), loop.count(shallow)), counted)
+
+        loop.run(size, body)
+        return builder.load(counted)
+
+    return types.int64(x, y, z, size, plane, depths), generate
+
+
+@intrinsic
+def point_met(
+    context: Any, x: Any, y: Any, z: Any, depths: Any, size: Any, i: Any, j: Any, inward: Any
+) -> Any:
+    """Return the point that a plane meets when it is turned over the edge from `i` to `j`.
+
+    Of each point, the depth below the plane is known, and its distance from the edge along the
+    plane is computed to the same scale; the point met has the largest angle, so the smallest
+    cotangent; the first of equals.
+
+    Parameters
+    ----------
+    x, y, z, depths : float32 or float64 arrays
+        Coordinates in [-1, 1], and depths.
     size : int
         How many.
     i, j : uint64
         The edge.
-    plane : tuple of eight floats
-        `inward`, the direction in the plane away from the edge, its product with a point of the
-        edge; `normal`, and its product.
-
-    Of each point, `depth` is below the plane and `distance` from the edge along it, to one scale;
-    the point met has the largest angle, so the smallest cotangent; the first of equals.
+    inward : tuple of four floats
+        The direction in the plane away from the edge, and its product with a point of the edge.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
         tag_bits = INDEX_BITS if loop.bits.width == 64 else ROUGH_INDEX_BITS
-        data = [loop.data(array) for array in arguments[:3]]
-        size, i, j = arguments[3:6]
-        numbers = cgutils.unpack_tuple(builder, arguments[6])
-        inward_x, inward_y, inward_z, margin, normal_x, normal_y, normal_z, height = (
-            loop.same(number) for number in numbers
+        data = [loop.data(array) for array in arguments[:4]]
+        size, i, j = arguments[4:7]
+        inward_x, inward_y, inward_z, margin = (
+            loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[7])
         )
         least_depth, far = loop.constant(1e-30), loop.constant(1e36)
         best = cgutils.alloca_once_value(builder, far.value)
 
         def body(index: Any) -> None:
-            x, y, z = (loop.load(array, index) for array in data)
-            depth = height - (normal_x * x + normal_y * y + normal_z * z)
+            x, y, z, depth = (loop.load(array, index) for array in data)
             distance = (inward_x * x + inward_y * y + inward_z * z) - margin
             cotangent = distance / depth.where(least_depth < depth, least_depth)
             indices = loop.indices(index)
@@ -212,42 +253,7 @@ def point_met(
         loop.run(size, body)
         return loop.tag_of_least(Lanes(builder, builder.load(best)), tag_bits)
 
-    return types.uint64(x, y, z, size, i, j, plane), generate
-
-
-@intrinsic
-def count_above(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any) -> Any:
-    """Count the points strictly above a plane.
-
-    Parameters
-    ----------
-    x, y, z : float arrays
-        Coordinates, as many as fill whole vectors.
-    size : int
-        How many.
-    plane : tuple of five floats
-        The normal, its product with a point of the plane, and the height from which on a point
-        counts.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        loop = VectorLoop(context, builder, signature.args[0])
-        data = [loop.data(array) for array in arguments[:3]]
-        numbers = cgutils.unpack_tuple(builder, arguments[4])
-        normal_x, normal_y, normal_z, offset, limit = (loop.same(number) for number in numbers)
-        counted = cgutils.alloca_once_value(builder, _INDEX(0))
-
-        def body(index: Any) -> None:
-            x, y, z = (loop.load(array, index) for array in data)
-            height = (normal_x * x + normal_y * y + normal_z * z) - offset
-            inside = loop.is_before(loop.indices(index), arguments[3])
-            more = loop.count(builder.and_(limit < height, inside))
-            builder.store(builder.add(builder.load(counted), more), counted)
-
-        loop.run(arguments[3], body)
-        return builder.load(counted)
-
-    return types.int64(x, y, z, size, plane), generate
+    return types.uint64(x, y, z, depths, size, i, j, inward), generate
 
 
 @intrinsic
