@@ -34,8 +34,11 @@ BLOCK_BITS = 4
 
 BLOCK = 1 << BLOCK_BITS
 _SLOTS_PER_BLOCK = BLOCK * BLOCK
-_FARTHEST_CELL = 2.0**40
-_BLOCK_KEY = types.UniTuple(types.int64, 2)
+_KEY_BITS = 32
+_HALF_KEY = 1 << (_KEY_BITS - 1)
+_LOWER_KEY = (1 << _KEY_BITS) - 1
+_FARTHEST_CELL = 2.0**34
+"""Cells beyond it are one: block coordinates, and a window about them, fit half a key."""
 
 
 class Lattice(NamedTuple):
@@ -81,14 +84,14 @@ def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
 @njit(cache=True, nogil=True)
 def _index_cells(cells: Floats, span: int) -> tuple[Integers, Integers, Integers]:
     """Find the slot of each point, blocks being numbered as they appear, and their neighbours."""
-    known = Dict.empty(_BLOCK_KEY, types.int64)
+    known = Dict.empty(types.int64, types.int64)
     slots = np.empty(len(cells), np.int64)
-    last = (np.int64(0), np.int64(0))
+    last = np.int64(0)
     block = np.int64(-1)
     for point in range(len(cells)):
         i = np.int64(cells[point, 0])
         j = np.int64(cells[point, 1])
-        key = (i >> BLOCK_BITS, j >> BLOCK_BITS)
+        key = _block_key(i >> BLOCK_BITS, j >> BLOCK_BITS)
         if block < 0 or key != last:
             block = known.get(key, np.int64(-1))
             if block < 0:
@@ -98,16 +101,22 @@ def _index_cells(cells: Floats, span: int) -> tuple[Integers, Integers, Integers
         slots[point] = block * _SLOTS_PER_BLOCK + (i & (BLOCK - 1)) * BLOCK + (j & (BLOCK - 1))
     blocks = np.empty((len(known), 2), np.int64)
     for key, number in known.items():
-        blocks[number, 0] = key[0]
-        blocks[number, 1] = key[1]
+        blocks[number, 1] = ((key + _HALF_KEY) & _LOWER_KEY) - _HALF_KEY
+        blocks[number, 0] = (key - blocks[number, 1]) >> _KEY_BITS
     width = 2 * span + 1
     neighbours = np.full((len(known), width, width), -1, np.int64)
     for number in range(len(blocks)):
         for a in range(width):
             for b in range(width):
-                key = (blocks[number, 0] + a - span, blocks[number, 1] + b - span)
+                key = _block_key(blocks[number, 0] + a - span, blocks[number, 1] + b - span)
                 neighbours[number, a, b] = known.get(key, np.int64(-1))
     return slots, blocks, neighbours
+
+
+@njit(cache=True, nogil=True)
+def _block_key(i: int, j: int) -> int:
+    """Put block coordinates into one integer: a pair takes longer to hash, and to compile."""
+    return (i << _KEY_BITS) + j
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -83,7 +83,7 @@ def fit_surface(
     )
     starts = np.zeros(lattice.slot_count + 1, np.int64)
     starts[occupied + 1] = counts
-    return Surface(planes, np.cumsum(starts))
+    return Surface(planes[: counts.sum()].copy(), np.cumsum(starts))
 
 
 @njit(cache=True, nogil=True)
@@ -118,21 +118,41 @@ def _fit_planes(
                 if group == storeys:
                     storeys += 1
                     bases[group] = heights[level]
-                    sums[group] = 0.0
+                    for term in range(sums.shape[1]):
+                        sums[group, term] = 0.0
                 if sums[group, 12] < _SUPPORT:
                     rise = heights[level] - bases[group]
                     known = spreads[level] >= 0
                     spread = spreads[level] if known else unknown
                     _add_level(sums[group], offsets[k], rise, spread, known)
         if found + storeys > len(planes):
-            larger = np.empty((2 * len(planes), 4), np.float64)
-            larger[:found] = planes[:found]
-            planes = larger
-        for group in np.argsort(bases[:storeys]):
-            _solve(sums[group], bases[group], cell, planes[found])
+            planes = _enlarged(planes)
+        for _ in range(storeys):
+            lowest = _lowest(bases, storeys)
+            _solve(sums[lowest], bases[lowest], cell, planes[found])
             found += 1
+            bases[lowest] = np.inf
         counts[place] = storeys
-    return planes[:found].copy(), counts
+    return planes, counts
+
+
+# Loops in place of slices and sorts: compiled, those take ten seconds to compile and are no faster.
+@njit(cache=True, nogil=True)
+def _enlarged(planes: Floats) -> Floats:
+    larger = np.empty((2 * len(planes), 4), np.float64)
+    for place in range(len(planes)):
+        for column in range(4):
+            larger[place, column] = planes[place, column]
+    return larger
+
+
+@njit(cache=True, nogil=True)
+def _lowest(bases: Floats, storeys: int) -> int:
+    lowest = 0
+    for group in range(1, storeys):
+        if bases[group] < bases[lowest]:
+            lowest = group
+    return lowest
 
 
 @njit(cache=True, nogil=True)
