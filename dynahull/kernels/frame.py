@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.hull import FLATNESS
-from dynahull.kernels.compiled import compiled
+from dynahull.kernels.compiled import inlined
 from dynahull.kernels.vectors import aligned, largest, padded, smallest
 
 STEP = 2.0**-50
@@ -99,7 +99,7 @@ def _shakes(size: int) -> NDArray[np.float64]:
     return np.ascontiguousarray(shake.T)
 
 
-@compiled
+@inlined
 def enter_frame(points: Neighbourhood, count: int) -> float:
     """Find the frame of a neighbourhood and its coordinates there.
 
@@ -153,7 +153,7 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     return extent_1 * extent_2 * extent_3
 
 
-@compiled
+@inlined
 def place_of_largest(values: NDArray[np.float64], size: np.uint64) -> np.uint64:
     """Return the index of the largest value, the first of equals."""
     most = largest(values, size)
@@ -163,7 +163,7 @@ def place_of_largest(values: NDArray[np.float64], size: np.uint64) -> np.uint64:
     return i
 
 
-@compiled
+@inlined
 def set_on_grid(points: Neighbourhood, count: int, attempt: int) -> None:
     """Round the frame coordinates to the grid, and shake them."""
     shift = np.uint64(attempt * _SHAKE_STRIDE)

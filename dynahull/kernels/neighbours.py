@@ -17,9 +17,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled
+from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.tree import LEAF_SIZE, Tree, leaf_count, make_stack
-from dynahull.kernels.vectors import aligned, box_distances, count_below, count_up_to, padded
+from dynahull.kernels.vectors import (
+    aligned,
+    box_distances,
+    count_up_to,
+    lowest_place,
+    padded,
+    places_up_to,
+    rank_all,
+)
 
 SLACK = 8
 """Points beyond the k-th that counting may leave in: sorting them is cheaper than counting on."""
@@ -72,7 +80,7 @@ class Nearest(NamedTuple):
         Squared distances.
     at : (capacity,) uint32 array
         Positions in the tree.
-    key, key_bits, other_distance, other_at
+    key, key_bits, rank, other_distance, other_at
         Room to sort them.
     """
 
@@ -80,13 +88,14 @@ class Nearest(NamedTuple):
     at: NDArray[np.uint32]
     key: NDArray[np.float32]
     key_bits: NDArray[np.uint32]
+    rank: NDArray[np.uint32]
     other_distance: NDArray[np.float64]
     other_at: NDArray[np.uint32]
 
 
 def make_candidates(k: int) -> Candidates:
     """Make room for the candidates of one leaf; where it is too little, each query walks alone."""
-    size = padded(max(128, k))
+    size = padded(max(512, k))
     return Candidates(
         leaf=np.empty(size, np.int64),
         low_x=aligned(size),
@@ -112,6 +121,7 @@ def make_nearest(k: int) -> Nearest:
         np.empty(size, np.uint32),
         key,
         key.view(np.uint32),
+        aligned(size, np.uint32),
         np.empty(size),
         np.empty(size, np.uint32),
     )
@@ -217,14 +227,17 @@ def search_list(
     for i in range(leaves):
         out = i * np.uint64(LEAF_SIZE)
         first = np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE)
-        for j in range(np.uint64(LEAF_SIZE)):
+        places = places_up_to(distance, out, threshold)
+        while places:
+            j = lowest_place(places)
+            places &= places - np.uint64(1)
             nearest.distance[filled] = distance[out + j]
             nearest.at[filled] = first + j
-            filled += np.uint64(distance[out + j] <= threshold)
+            filled += np.uint64(1)
     return within
 
 
-@compiled
+@inlined
 def _measure_leaves(
     tree: Tree,
     x: float,
@@ -286,7 +299,7 @@ def _keep_nearest(
     return k
 
 
-@compiled
+@inlined
 def _count_to_threshold(
     distance: NDArray[np.float64], size: np.uint64, k: int, high: float, high_count: int
 ) -> tuple[float, int]:
@@ -362,40 +375,46 @@ def search_tree(
     return k
 
 
-@compiled
+@inlined
 def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
     """Sort the first `count` neighbours by (squared distance, row number).
 
-    Each goes to the place that counting the smaller ones gives it, by keys made different by an
-    index in their lowest bits; an insertion pass then settles what those bits blur, and ties.
+    Each goes to the place that counting the smaller ones gives it, by distances in single
+    precision made different by an index in their lowest bits; an insertion pass then settles what
+    these blur by the distances themselves, and ties by the row numbers.
     """
     size = np.uint64(count)
-    bits = nearest.key_bits
     mask = np.uint32(1)
     while mask < size:
         mask += mask
     mask -= np.uint32(1)
     for i in range(size):
         # Neither infinite nor denormal, or the index would make it no number, or zero.
-        rough = np.float32(min(nearest.distance[i], 1e38)) + np.float32(1e-30)
-        nearest.key[i] = rough
-        bits[i] = (bits[i] & ~mask) | np.uint32(i)
+        nearest.key[i] = np.float32(min(nearest.distance[i], 1e38)) + np.float32(1e-30)
     for i in range(size):
-        place = np.uint64(count_below(nearest.key, size, nearest.key[i]))
+        nearest.key_bits[i] = (nearest.key_bits[i] & ~mask) | np.uint32(i)
+    rank_all(nearest.key, size, nearest.rank)
+    for i in range(size):
+        place = np.uint64(nearest.rank[i])
         nearest.other_distance[place] = nearest.distance[i]
         nearest.other_at[place] = nearest.at[i]
-    for i in range(count):
+    last, last_at = -1.0, np.uint32(0)
+    for i in range(size):
         distance, at = nearest.other_distance[i], nearest.other_at[i]
         j = i
-        while j > 0 and _is_beyond(nearest.distance[j - 1], nearest.at[j - 1], distance, at, rows):
-            nearest.distance[j] = nearest.distance[j - 1]
-            nearest.at[j] = nearest.at[j - 1]
-            j -= 1
-        nearest.distance[j] = distance
-        nearest.at[j] = at
+        if _is_beyond(last, last_at, distance, at, rows):
+            while j > np.uint64(0):
+                before = j - np.uint64(1)
+                if not _is_beyond(nearest.distance[before], nearest.at[before], distance, at, rows):
+                    break
+                nearest.distance[j], nearest.at[j] = nearest.distance[before], nearest.at[before]
+                j = before
+        else:
+            last, last_at = distance, at
+        nearest.distance[j], nearest.at[j] = distance, at
 
 
-@compiled
+@inlined
 def _is_beyond(
     distance: float, at: int, other_distance: float, other_at: int, rows: NDArray[np.int64]
 ) -> bool:
@@ -443,7 +462,7 @@ def _sift_down(
     nearest.at[parent] = at
 
 
-@compiled
+@inlined
 def point_distance(tree: Tree, i: int, x: float, y: float, z: float) -> float:
     """Return the squared distance of the point at a position from a place."""
     dx = tree.x[i] - x
@@ -452,7 +471,7 @@ def point_distance(tree: Tree, i: int, x: float, y: float, z: float) -> float:
     return (dx * dx + dy * dy) + dz * dz
 
 
-@compiled
+@inlined
 def _box_to_point(boxes: NDArray[np.float64], node: int, x: float, y: float, z: float) -> float:
     """Return the squared distance of a node's box from a place."""
     i = np.uint64(node)
@@ -462,7 +481,7 @@ def _box_to_point(boxes: NDArray[np.float64], node: int, x: float, y: float, z: 
     return (dx * dx + dy * dy) + dz * dz
 
 
-@compiled
+@inlined
 def _box_to_box(boxes: NDArray[np.float64], node: int, other: int) -> float:
     """Return the squared distance of the boxes of two nodes."""
     i, j = np.uint64(node), np.uint64(other)
@@ -472,7 +491,7 @@ def _box_to_box(boxes: NDArray[np.float64], node: int, other: int) -> float:
     return (dx * dx + dy * dy) + dz * dz
 
 
-@compiled
+@inlined
 def _is_one_place(boxes: NDArray[np.float64], node: int) -> bool:
     return (
         boxes[node, 0] == boxes[node, 3]
@@ -509,7 +528,7 @@ def middle_of_leaf(tree: Tree, leaf: int) -> int:
     return best
 
 
-@compiled
+@inlined
 def bound_from(squared_reach: float, squared_distance: float) -> float:
     """Bound the squared distance of the k-th neighbour of a point from that of another point.
 

@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from dynahull.kernels.compiled import compiled
+from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import STEP, Neighbourhood
 
 UNCERTAIN = 2.0**-45
@@ -67,7 +67,7 @@ SLIVER = 2.0**-20
 _SPLIT = 1.5 * 2.0**28  # adding and subtracting it rounds to multiples of 2^-24
 
 
-@compiled
+@inlined
 def accurate_minor(p: float, q: float, r: float, s: float) -> float:
     """Return p s - q r of differences of coordinates, to within 2^-73 (Dekker 1971).
 
@@ -134,6 +134,6 @@ def exact_side(
     )
 
 
-@compiled
+@inlined
 def _steps(difference: float) -> np.int64:
     return np.int64(difference / STEP)

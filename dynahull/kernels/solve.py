@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled
+from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
 from dynahull.kernels.hull import Surface, hull_volume, make_surface
 from dynahull.kernels.neighbours import (
@@ -139,7 +139,7 @@ def solve(
                 density[at] = np.inf if volume == 0.0 else k / volume
 
 
-@compiled
+@inlined
 def _gather_places(tree: Tree, query: int, k: int, nearest: Nearest, points: Neighbourhood) -> int:
     """Take the places of the k nearest points relative to the query, each place once.
 
@@ -161,7 +161,7 @@ def _gather_places(tree: Tree, query: int, k: int, nearest: Nearest, points: Nei
     return int(count)
 
 
-@compiled
+@inlined
 def _is_among(points: Neighbourhood, begin: np.uint64, last: np.uint64) -> bool:
     """Tell whether the last place is one of those before it."""
     for i in range(begin, last):

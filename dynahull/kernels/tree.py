@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled
+from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.vectors import aligned
 
 LEAF_SIZE = 32
@@ -58,7 +58,7 @@ def make_tree(points: NDArray[np.float64], rows: NDArray[np.int64]) -> Tree:
     return Tree(columns[0], columns[1], columns[2], rows.astype(np.int64), order, boxes)
 
 
-@compiled
+@inlined
 def leaf_count(point_count: int) -> int:
     """Return the number of leaves of a tree over so many points."""
     return (point_count + LEAF_SIZE - 1) // LEAF_SIZE
@@ -156,12 +156,12 @@ def _split(
     return random
 
 
-@compiled
+@inlined
 def _median(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))
 
 
-@compiled
+@inlined
 def _swap(tree: Tree, i: int, j: int) -> None:
     tree.x[i], tree.x[j] = tree.x[j], tree.x[i]
     tree.y[i], tree.y[j] = tree.y[j], tree.y[i]
@@ -194,7 +194,7 @@ def _sift_down(tree: Tree, begin: int, start: int, size: int) -> None:
         parent = child
 
 
-@compiled
+@inlined
 def _swap_rows(tree: Tree, i: int, j: int) -> None:
     tree.rows[i], tree.rows[j] = tree.rows[j], tree.rows[i]
     tree.order[i], tree.order[j] = tree.order[j], tree.order[i]

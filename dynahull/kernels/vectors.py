@@ -286,33 +286,77 @@ def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
 
 
 @intrinsic
-def count_below(context: Any, values: Any, size: Any, limit: Any) -> Any:
-    """Count the values smaller than a limit, among the first ones.
+def rank_all(context: Any, values: Any, size: Any, ranks: Any) -> Any:
+    """Count for each of the first values how many of them are smaller.
 
     Parameters
     ----------
-    values : float array
-        As long as whole vectors; those beyond `size` are not counted.
+    values : float32 array
+        As long as whole vectors.
     size : uint64
         How many.
+    ranks : uint32 array
+        As long; overwritten.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        values, size, ranks = loop.data(arguments[0]), arguments[1], arguments[2]
+        ranks = context.make_array(signature.args[2])(context, builder, ranks).data
+        zeros = ir.Constant(loop.bits_vector, [0] * loop.lanes)
+        ones = ir.Constant(loop.bits_vector, [1] * loop.lanes)
+
+        def body(index: Any) -> None:
+            ranked = loop.load(values, index)
+            counted = cgutils.alloca_once_value(builder, zeros)
+            builder.store(zeros, counted)
+            with cgutils.for_range(builder, size) as inner:
+                other = loop.same(builder.load(builder.gep(values, [inner.index])))
+                more = builder.select(other < ranked, ones, zeros)
+                builder.store(builder.add(builder.load(counted), more), counted)
+            address = builder.bitcast(builder.gep(ranks, [index]), loop.bits_vector.as_pointer())
+            builder.store(builder.load(counted), address, align=4)
+
+        loop.run(size, body)
+        return context.get_dummy_value()
+
+    return types.void(values, size, ranks), generate
+
+
+@intrinsic
+def places_up_to(context: Any, values: Any, begin: Any, limit: Any) -> Any:
+    """Return which of 32 values are up to and including a limit: the first in the lowest bit.
+
+    Parameters
+    ----------
+    values : float64 array
+    begin : uint64
+        Index of the first of the 32.
     limit : float
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
-        data = loop.data(arguments[0])
-        limit = loop.same(arguments[2])
-        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+        data, begin, limit = loop.data(arguments[0]), arguments[1], loop.same(arguments[2])
+        places = _INDEX(0)
+        for first in range(0, 32, loop.lanes):
+            values = loop.load(data, builder.add(begin, _INDEX(first)))
+            within = builder.bitcast(builder.not_(limit < values), ir.IntType(loop.lanes))
+            within = builder.shl(builder.zext(within, _INDEX), _INDEX(first))
+            places = builder.or_(places, within)
+        return places
 
-        def body(index: Any) -> None:
-            inside = loop.is_before(loop.indices(index), arguments[1])
-            more = loop.count(builder.and_(loop.load(data, index) < limit, inside))
-            builder.store(builder.add(builder.load(counted), more), counted)
+    return types.uint64(values, begin, limit), generate
 
-        loop.run(arguments[1], body)
-        return builder.load(counted)
 
-    return types.int64(values, size, limit), generate
+@intrinsic
+def lowest_place(context: Any, places: Any) -> Any:
+    """Return the place of the lowest bit of an integer that is not zero."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.IntType(1)(1))
+
+    return types.uint64(types.uint64), generate
 
 
 @intrinsic
