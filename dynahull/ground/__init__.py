@@ -12,7 +12,13 @@ from dynahull.errors import MissingClassificationError
 from dynahull.ground.cloth import cloth_ground
 from dynahull.ground.lattice import Booleans, Floats
 from dynahull.ground.parameters import ClothParameters, GroundParameters, SlopeParameters
-from dynahull.ground.slope import height_above, height_reach, slope_ground, slope_radius
+from dynahull.ground.slope import (
+    compile_once,
+    height_above,
+    height_reach,
+    slope_ground,
+    slope_radius,
+)
 
 __all__ = [
     "ClothParameters",
@@ -62,6 +68,7 @@ def ground_mask(
         case "csf":
             return cloth_ground(points, parameters.csf)
         case "slope":
+            compile_once()
             return slope_ground(points, parameters.slope)
 
 
@@ -102,4 +109,5 @@ def height_above_ground(points: Floats, ground: Booleans, parameters: GroundPara
         NaN where no ground is near; negative beneath the lowest floor. With several storeys, the
         height above the nearest floor beneath the point.
     """
+    compile_once()
     return height_above(points, ground, parameters.slope)

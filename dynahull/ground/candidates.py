@@ -1,8 +1,8 @@
 """Which levels may be floors: those that go on around them, and those that are no ceilings."""
 
 import numpy as np
-from numba import njit
 
+from dynahull.compilation import compiled
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -57,7 +57,7 @@ def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters) -> Booleans:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _are_flat(
     heights: Floats,
     slots: Integers,
@@ -92,7 +92,7 @@ def _are_flat(
     return flat
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _breadth(cells: Floats) -> float:
     """Return the smaller variance along the principal axes."""
     n = len(cells)
@@ -153,7 +153,7 @@ def are_floors(
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _are_floors(
     heights: Floats,
     slots: Integers,
@@ -192,14 +192,14 @@ def _are_floors(
     return floors
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_filled(column: Floats, z: float, clearance: float) -> bool:
     """Whether a point lies between half and the whole clearance under z: deeper than a slab."""
     first = np.searchsorted(column, z - clearance)
     return bool(first < len(column) and column[first] <= z - clearance / 2)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rests_on_something(
     slot: int, z: float, columns: Floats, starts: Integers, neighbours: Integers, clearance: float
 ) -> bool:

@@ -1,8 +1,8 @@
 """The feet of what stands on the ground: as low as the ground, and no part of it."""
 
 import numpy as np
-from numba import njit
 
+from dynahull.compilation import compiled
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -48,7 +48,7 @@ def are_feet(
     return _are_feet(lattice.slots, columns, starts, near, surface, tolerances, p.foot)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _are_feet(
     slots: Integers,
     columns: Floats,

@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, types
+from numba import types
 from numba.typed import Dict
+
+from dynahull.compilation import compiled, inlined
 
 __all__ = [
     "Booleans",
@@ -81,7 +83,7 @@ def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
     return Lattice(cell, slots, blocks, neighbours)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _index_cells(cells: Floats, span: int) -> tuple[Integers, Integers, Integers]:
     """Find the slot of each point, blocks being numbered as they appear, and their neighbours."""
     known = Dict.empty(types.int64, types.int64)
@@ -113,13 +115,13 @@ def _index_cells(cells: Floats, span: int) -> tuple[Integers, Integers, Integers
     return slots, blocks, neighbours
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _block_key(i: int, j: int) -> int:
     """Put block coordinates into one integer: a pair takes longer to hash, and to compile."""
     return (i << _KEY_BITS) + j
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def slot_at(slot: int, di: int, dj: int, neighbours: Integers) -> int:
     """Return the slot of the cell (di, dj) away from the cell of `slot`, or -1."""
     span = neighbours.shape[1] // 2
@@ -140,7 +142,7 @@ def starts_of(slots: Integers, slot_count: int) -> Integers:
     return starts
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def sort_heights(heights: Floats, slots: Integers, starts: Integers) -> Floats:
     """Return the heights column by column, ascending within each."""
     place = starts[:-1].copy()

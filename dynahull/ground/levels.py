@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from dynahull.compilation import compiled
 from dynahull.ground.lattice import Booleans, Floats, Integers
 
 __all__ = ["Levels", "find_levels"]
@@ -53,7 +53,7 @@ def find_levels(
     return Levels(*_find_levels(columns, starts, thickness, clearance, clutter))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _find_levels(
     columns: Floats, starts: Integers, thickness: float, clearance: float, clutter: float
 ) -> tuple[Floats, Floats, Integers, Booleans]:
@@ -93,7 +93,7 @@ def _find_levels(
     return heights[:found].copy(), spreads[:found].copy(), slots[:found].copy(), bare[:found].copy()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _mean_and_spread(layer: Floats) -> tuple[float, float]:
     # relative to the lowest point: the result does not lose digits far from z = 0
     total = 0.0

@@ -1,8 +1,8 @@
 """Slope-limited morphological opening of the levels, storey by storey."""
 
 import numpy as np
-from numba import njit
 
+from dynahull.compilation import compiled
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -47,7 +47,7 @@ def stand_out(levels: Levels, lattice: Lattice, p: SlopeParameters, storey: floa
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _stand_out(
     heights: Floats,
     slots: Integers,
@@ -85,7 +85,7 @@ def _stand_out(
     return objects
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _erode(
     eroded: Floats,
     heights: Floats,

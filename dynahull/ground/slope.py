@@ -6,9 +6,12 @@ a slope allows is an object (Vosselman 2000; Zhang et al. 2003; Pingel et al. 20
 the levels that are left. A point near such a plane is ground, unless it is the foot of something.
 """
 
-import numpy as np
-from numba import njit
+from functools import lru_cache
+from pathlib import Path
 
+import numpy as np
+
+from dynahull.compilation import compiled, compiling, inlined
 from dynahull.ground.candidates import FLAT_RADIUS, are_flat, are_floors
 from dynahull.ground.feet import are_feet
 from dynahull.ground.lattice import (
@@ -24,10 +27,18 @@ from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import SlopeParameters
 from dynahull.ground.surface import HEIGHT, NOISE, SLOPE_X, SLOPE_Y, fit_surface
 
-__all__ = ["height_above", "height_reach", "slope_ground", "slope_radius"]
+__all__ = ["compile_once", "height_above", "height_reach", "slope_ground", "slope_radius"]
 
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
+
+
+@lru_cache(maxsize=1)
+def compile_once() -> None:
+    """Compile the ground step, unless its code is kept already."""
+    with compiling("the ground step", Path(__file__).parent):
+        corner = np.random.default_rng(0).uniform(0, 3, (64, 3))
+        height_above(corner, slope_ground(corner, SlopeParameters()), SlopeParameters())
 
 
 def slope_ground(points: Floats, p: SlopeParameters) -> Booleans:
@@ -110,14 +121,14 @@ def height_above(points: Floats, ground: Booleans, p: SlopeParameters) -> Floats
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _height_over(point: Floats, plane: Floats, cell: float) -> float:
     dx = point[0] - (np.floor(point[0] / cell) + 0.5) * cell
     dy = point[1] - (np.floor(point[1] / cell) + 0.5) * cell
     return point[2] - plane[HEIGHT] - plane[SLOPE_X] * dx - plane[SLOPE_Y] * dy
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _nearest_surface(
     points: Floats,
     slots: Integers,
@@ -143,7 +154,7 @@ def _nearest_surface(
     return heights, widths
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _height_above(
     points: Floats,
     slots: Integers,

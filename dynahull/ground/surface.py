@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from dynahull.compilation import compiled
 from dynahull.ground.lattice import (
     Floats,
     Integers,
@@ -86,7 +86,7 @@ def fit_surface(
     return Surface(planes[: counts.sum()].copy(), np.cumsum(starts))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fit_planes(
     heights: Floats,
     spreads: Floats,
@@ -137,7 +137,7 @@ def _fit_planes(
 
 
 # Loops in place of slices and sorts: compiled, those take ten seconds to compile and are no faster.
-@njit(cache=True, nogil=True)
+@compiled
 def _enlarged(planes: Floats) -> Floats:
     larger = np.empty((2 * len(planes), 4), np.float64)
     for place in range(len(planes)):
@@ -146,7 +146,7 @@ def _enlarged(planes: Floats) -> Floats:
     return larger
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _lowest(bases: Floats, storeys: int) -> int:
     lowest = 0
     for group in range(1, storeys):
@@ -155,7 +155,7 @@ def _lowest(bases: Floats, storeys: int) -> int:
     return lowest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_level(s: Floats, offset: Integers, z: float, spread: float, known: bool) -> None:
     """Add a level to the weighted sums of its storey; horizontal lengths in cells.
 
@@ -180,7 +180,7 @@ def _add_level(s: Floats, offset: Integers, z: float, spread: float, known: bool
     s[12] += 1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _solve(s: Floats, base: float, cell: float, plane: Floats) -> None:
     """Weighted least squares about the weighted mean, with a ridge on the slopes."""
     mu, mv, mz = s[1] / s[0], s[2] / s[0], s[3] / s[0]

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from dynahull import compilation
+
 PROGRAM = """
 import logging
 logging.basicConfig()
@@ -43,14 +45,12 @@ def test_processes_on_an_empty_cache_compile_once_and_say_so(tmp_path: Path) -> 
 def test_other_folder_is_found_where_the_first_cannot_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from dynahull.kernels import compilation  # noqa: PLC0415
-
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", str(tmp_path / "file"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    folder = compilation._cache_folder()
+    folder = compilation.cache_folder(tmp_path)
     assert folder is not None
     assert (tmp_path / "cache") in folder.parents
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setattr(compilation.tempfile, "gettempdir", lambda: str(tmp_path / "file"))
-    assert compilation._cache_folder() is None
+    assert compilation.cache_folder(tmp_path) is None

@@ -1,0 +1,134 @@
+"""Compiled code is kept for a machine: made once, by whoever comes first, for every later process.
+
+The code lies in a folder of its own, named after the text of the sources it was made from: an
+upgrade or an edit never meets stale code. Who comes first compiles under a lock, and says so; the
+others wait for it and read what it wrote. Where no folder can be written, each process compiles.
+"""
+
+import hashlib
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from llvmlite import binding
+
+log = logging.getLogger("dynahull")
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile a function on its first call, and keep the code with that of its package."""
+    return _compiled(function, "never")
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function into each of its callers."""
+    return _compiled(function, "always")
+
+
+def _compiled(function: Callable[..., Any], inline: str) -> Any:
+    folder = cache_folder(Path(function.__code__.co_filename).parent)
+    with numba_cache(folder):
+        return numba.njit(cache=folder is not None, nogil=True, inline=inline)(function)
+
+
+@contextmanager
+def compiling(what: str, sources: Path) -> Iterator[Path | None]:
+    """Compile in this block: one process at a time, and only the first one says so.
+
+    Parameters
+    ----------
+    what : str
+        Named in the line that is logged.
+    sources : Path
+        Folder of the modules whose functions are compiled.
+
+    Yields
+    ------
+    Path or None
+        Where the code is kept, if it can be.
+    """
+    folder = cache_folder(sources)
+    if folder is None:
+        log.warning(
+            "Compiling %s (about 15 s). No cache folder can be written, so this "
+            "happens in every process; set NUMBA_CACHE_DIR to a writable folder to avoid it.",
+            what,
+        )
+        yield None
+        return
+    done = folder / f"{binding.get_host_cpu_name()}-numba-{numba.__version__}.done"
+    with _locked(folder / "lock"):
+        if not done.exists():
+            log.warning(
+                "Compiling %s for this machine (about 15 s). "
+                "This happens once; the result is kept in %s.",
+                what,
+                folder,
+            )
+        yield folder
+        done.touch()
+
+
+def cache_folder(sources: Path) -> Path | None:
+    """Return the first folder that can be written, or None.
+
+    They are `$NUMBA_CACHE_DIR`, the user's cache and the system's folder for temporary files.
+    """
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    temporary = Path(tempfile.gettempdir()) / f"dynahull-{os.getuid()}"
+    parents = [user_cache / "dynahull", temporary]
+    if numba.config.CACHE_DIR:
+        parents.insert(0, Path(numba.config.CACHE_DIR) / "dynahull")
+    for parent in parents:
+        folder = parent / _fingerprint(sources)
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # Code is loaded from here, so nobody else may have put it there.
+            if folder.stat().st_uid != os.getuid():
+                continue
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return None
+
+
+@contextmanager
+def numba_cache(folder: Path | None) -> Iterator[None]:
+    """Make numba keep the code it compiles here; it looks when a function is decorated."""
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before if folder is None else str(folder)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+@lru_cache
+def _fingerprint(sources: Path) -> str:
+    """Return a short name for the text of all modules in a folder."""
+    digest = hashlib.sha256()
+    for source in sorted(sources.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock file while others wait; go on without where the file system has no locks."""
+    with path.open("w") as file:
+        try:
+            import fcntl  # noqa: PLC0415 (POSIX only)
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except (ImportError, OSError):
+            log.debug("No lock on %s: several processes may compile at once.", path)
+        # Closing the file releases the lock.
+        yield
