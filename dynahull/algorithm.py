@@ -18,6 +18,9 @@ from dynahull.removal import Removal, remove_least_dense
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
 
+LARGEST_COORDINATE = 1e150
+"""Metres from the origin; see `valid_points`."""
+
 
 def clean(
     points: ArrayLike,
@@ -70,7 +73,7 @@ def clean(
     parameters = _chosen_parameters(parameters, sections)
     observer = observer or SilentObserver()
 
-    valid = np.asarray(np.isfinite(coordinates).all(axis=1))
+    valid = valid_points(coordinates)
     ground, above = set_ground_aside(coordinates, valid, parameters, classification, observer)
     rows = np.flatnonzero(valid & ~ground & ~above)
     clusters = find_clusters(
@@ -114,6 +117,22 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
     if array.dtype.kind not in "fiu":
         raise InvalidPointsError(f"points: expected real numbers, found dtype {array.dtype}")
     return np.ascontiguousarray(array, np.float64)
+
+
+def valid_points(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which points have coordinates that can be measured: not NaN, not infinite, not absurd.
+
+    Parameters
+    ----------
+    points : (N, 3) float64 array
+
+    Returns
+    -------
+    (N,) bool array
+        False also where a coordinate is beyond `LARGEST_COORDINATE`: squared distances to such a
+        point overflow.
+    """
+    return np.asarray((np.abs(points) <= LARGEST_COORDINATE).all(axis=1))
 
 
 def set_ground_aside(
