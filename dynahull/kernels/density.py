@@ -12,10 +12,12 @@ from dynahull.kernels.compilation import kernels
 from dynahull.kernels.exact import exact_hull_volume
 from dynahull.kernels.solve import Results, make_room
 from dynahull.kernels.tree import LEAF_SIZE, make_stack, make_tree
+from dynahull.kernels.vectors import INDEX_BITS
 
 _LEAVES_AT_A_TIME = 128
 _FEWEST = 4
 _MOST = 2**32 - 1  # positions in the tree are 32 bits
+_MOST_NEIGHBOURS = 2**INDEX_BITS
 _LARGEST = 1e150  # squares of differences stay finite
 
 
@@ -76,7 +78,7 @@ def hull_densities(
     InvalidPointsError
         When there are fewer than four points, or they are not finite, or too large to square.
     InvalidParametersError
-        When `k` is less than four, or `threads` less than one.
+        When `k` is less than four or more than 16,384, or `threads` less than one.
     """
     density = np.full(len(points), np.nan)
     squared_reach = _solve(points, rows, k, queries, threads, on_progress, density, None)
@@ -161,7 +163,7 @@ def _check(
         raise InvalidPointsError(
             f"points: expected {_FEWEST} to {_MOST} of them, found {count}: fewer have no hull"
         )
-    # The sum is finite exactly if no coordinate is NaN; min and max need no array of their own.
+    # A NaN fails any comparison; minimum and maximum need no array of their own.
     if not (points.min() >= -_LARGEST and points.max() <= _LARGEST):
         raise InvalidPointsError(f"points: expected finite coordinates up to {_LARGEST:g}")
     if rows.shape != (count,):
@@ -170,6 +172,8 @@ def _check(
         raise InvalidPointsError(f"queries: expected one a point, found shape {queries.shape}")
     if k < _FEWEST:
         raise InvalidParametersError(f"k: expected at least {_FEWEST} neighbours, found {k}")
+    if min(k, count) > _MOST_NEIGHBOURS:
+        raise InvalidParametersError(f"k: expected at most {_MOST_NEIGHBOURS}, found {k}")
     if threads < 1:
         raise InvalidParametersError(f"threads: expected at least 1, found {threads}")
 

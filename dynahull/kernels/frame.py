@@ -9,7 +9,7 @@ There the coordinates are also set on a grid of integers, and shaken by a few st
 *topology* of the hull only: integers make exact predicates cheap, and shaken points are in general
 position, where a hull has triangles only and coplanar, collinear or duplicate points are no
 special case. The volume is summed from the coordinates as they were: what shaking can change are
-tetrahedra between points that are coplanar to one part in 2^32.
+tetrahedra between points that are coplanar to one part in 2^34.
 """
 
 from functools import lru_cache
@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from dynahull.hull import FLATNESS
 from dynahull.kernels.compiled import inlined
-from dynahull.kernels.vectors import aligned, largest, padded, smallest
+from dynahull.kernels.lanes import aligned, padded
+from dynahull.kernels.vectors import largest, smallest
 
 STEP = 2.0**-50
 """The grid's step, in units of the frame."""
 
-SHAKE = 2.0**-32
+SHAKE = 2.0**-34
 """The largest shake."""
 
 SHAKES = 8

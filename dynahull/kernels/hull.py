@@ -27,6 +27,7 @@ from dynahull.kernels.frame import (
     place_of_largest,
     set_on_grid,
 )
+from dynahull.kernels.lanes import aligned, padded
 from dynahull.kernels.predicates import (
     ROUGHLY_UNCERTAIN,
     SLIVER,
@@ -34,7 +35,7 @@ from dynahull.kernels.predicates import (
     accurate_minor,
     is_above_all_others,
 )
-from dynahull.kernels.vectors import ROUGH_INDEX_BITS, aligned, depths_below, padded, point_met
+from dynahull.kernels.vectors import ROUGH_INDEX_BITS, depths_below, point_met
 
 
 class Surface(NamedTuple):

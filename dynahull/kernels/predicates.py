@@ -1,6 +1,6 @@
 """Which side of a plane a point of the grid lies on, exactly.
 
-Coordinates are multiples of 2^-50 and at most 1 + 2^-32. The determinant that decides comes out of
+Coordinates are multiples of 2^-50 and at most 1 + 2^-34. The determinant that decides comes out of
 doubles within `UNCERTAIN` = 2^-45 of the truth: differences of coordinates are exact; a component
 of the normal, at most 8, is off by at most 2^-50; its product with a coordinate by 2^-49.4; three
 products, the offset and their sums by 2^-45.7 together. A value beyond that has the true sign. A

@@ -8,23 +8,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled, inlined
-from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
-from dynahull.kernels.hull import Surface, hull_volume, make_surface
-from dynahull.kernels.neighbours import (
+from dynahull.kernels.candidates import (
     Candidates,
-    Nearest,
     bound_from,
     gather_candidates,
     make_candidates,
-    make_nearest,
-    middle_of_leaf,
-    point_distance,
     search_list,
-    search_tree,
-    sort_nearest,
 )
-from dynahull.kernels.tree import LEAF_SIZE, Tree, grow_tree
+from dynahull.kernels.compiled import compiled, inlined
+from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
+from dynahull.kernels.hull import Surface, hull_volume, make_surface
+from dynahull.kernels.nearest import Nearest, make_nearest, sort_nearest
+from dynahull.kernels.tree import LEAF_SIZE, Tree, grow_tree, middle_of_leaf, point_distance
+from dynahull.kernels.walk import search_tree
 
 
 class Room(NamedTuple):
@@ -91,52 +87,63 @@ def solve(
     results : Results
         Written for the queries of these leaves.
     """
-    x, y, z, rows, order = tree.x, tree.y, tree.z, tree.rows, tree.order
-    candidates, nearest, points, surface = room.candidates, room.nearest, room.points, room.surface
-    density, squared_reach, neighbours = results.density, results.squared_reach, results.neighbours
+    nearest, points, surface = room.nearest, room.points, room.surface
+    density, neighbours = results.density, results.neighbours
     rough = True
     for leaf in range(first_leaf, end_leaf):
-        begin, end = leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, rows.size)
+        begin, end = leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)
         if not _any_query(tree, queries, begin, end):
             continue
         middle = middle_of_leaf(tree, leaf)
-        search_tree(tree, x[middle], y[middle], z[middle], k, begin - k // 2, candidates, nearest)
-        middle_reach = nearest.distance[0]
-        farthest = 0.0
+        reach = _search_around(tree, middle, k, room)
+        leaves = _gather_around(tree, leaf, middle, k, reach, room.candidates)
+        guess = reach
         for i in range(begin, end):
-            farthest = max(farthest, point_distance(tree, i, x[middle], y[middle], z[middle]))
-        count = gather_candidates(tree, leaf, k, bound_from(middle_reach, farthest), candidates)
-        guess = middle_reach
-        for i in range(begin, end):
-            at = np.uint64(order[i])
+            at = np.uint64(tree.order[i])
             if not queries[at]:
                 continue
-            if count < 0:
-                found = search_tree(tree, x[i], y[i], z[i], k, i - k // 2, candidates, nearest)
+            x, y, z = tree.x[i], tree.y[i], tree.z[i]
+            if leaves < 0:
+                _search_around(tree, i, k, room)
+                found = k
             else:
-                away = point_distance(tree, i, x[middle], y[middle], z[middle])
+                bound = bound_from(reach, point_distance(tree, middle, x, y, z))
                 found = search_list(
-                    tree,
-                    x[i],
-                    y[i],
-                    z[i],
-                    k,
-                    guess,
-                    bound_from(middle_reach, away),
-                    candidates,
-                    count,
-                    nearest,
+                    tree, x, y, z, k, guess, bound, room.candidates, leaves, nearest
                 )
-            sort_nearest(nearest, found, rows)
+            sort_nearest(nearest, found, tree.rows)
             guess = nearest.distance[k - 1]
-            squared_reach[at] = guess
+            results.squared_reach[at] = guess
             if neighbours.size:
                 for j in range(k):
-                    neighbours[at, j] = rows[nearest.at[j]]
+                    neighbours[at, j] = tree.rows[nearest.at[j]]
             if density.size:
                 places = _gather_places(tree, i, k, nearest, points)
                 volume, rough = hull_volume(points, places, surface, rough)
                 density[at] = np.inf if volume == 0.0 else k / volume
+
+
+@compiled
+def _search_around(tree: Tree, i: int, k: int, room: Room) -> float:
+    """Walk the tree for the k nearest points of a point; return the squared distance of the k-th.
+
+    The walk begins with the k points around it in the order of the tree.
+    """
+    x, y, z = tree.x[i], tree.y[i], tree.z[i]
+    search_tree(tree, x, y, z, k, i - k // 2, room.candidates, room.nearest)
+    return room.nearest.distance[0]
+
+
+@compiled
+def _gather_around(
+    tree: Tree, leaf: int, middle: int, k: int, squared_reach: float, candidates: Candidates
+) -> int:
+    """List the candidates of a leaf from the reach of the point in its middle."""
+    farthest = 0.0
+    for i in range(leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)):
+        away = point_distance(tree, i, tree.x[middle], tree.y[middle], tree.z[middle])
+        farthest = max(farthest, away)
+    return gather_candidates(tree, leaf, k, bound_from(squared_reach, farthest), candidates)
 
 
 @inlined

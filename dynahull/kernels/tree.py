@@ -3,6 +3,11 @@
 The tree is never stored: a node is a range of leaves. The left half of a node of `m` leaves holds
 the first `(m + 1) // 2` of them, and nodes are numbered in preorder, so the left child of node `i`
 is `i + 1` and the right child `i + 2 * ((m + 1) // 2)`. Only the last leaf may hold fewer points.
+
+A squared distance is `(dx dx + dy dy) + dz dz` in float64 from the original coordinates, never
+contracted into fused operations, so it has the same bits on every machine. Distances of boxes are
+computed by the same operations from coordinates that are no further apart, and rounding is
+monotonic: a box further than some distance holds no point within it, to the last bit.
 """
 
 from typing import NamedTuple
@@ -11,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled, inlined
-from dynahull.kernels.vectors import aligned
+from dynahull.kernels.lanes import aligned
 
 LEAF_SIZE = 32
 """Points in a leaf: four vectors of eight doubles."""
@@ -198,3 +203,70 @@ def _sift_down(tree: Tree, begin: int, start: int, size: int) -> None:
 def _swap_rows(tree: Tree, i: int, j: int) -> None:
     tree.rows[i], tree.rows[j] = tree.rows[j], tree.rows[i]
     tree.order[i], tree.order[j] = tree.order[j], tree.order[i]
+
+
+@inlined
+def point_distance(tree: Tree, i: int, x: float, y: float, z: float) -> float:
+    """Return the squared distance of the point at a position from a place."""
+    dx = tree.x[i] - x
+    dy = tree.y[i] - y
+    dz = tree.z[i] - z
+    return (dx * dx + dy * dy) + dz * dz
+
+
+@inlined
+def box_to_point(boxes: NDArray[np.float64], node: int, x: float, y: float, z: float) -> float:
+    """Return the squared distance of a node's box from a place."""
+    i = np.uint64(node)
+    dx = max(boxes[i, 0] - x, x - boxes[i, 3], 0.0)
+    dy = max(boxes[i, 1] - y, y - boxes[i, 4], 0.0)
+    dz = max(boxes[i, 2] - z, z - boxes[i, 5], 0.0)
+    return (dx * dx + dy * dy) + dz * dz
+
+
+@inlined
+def box_to_box(boxes: NDArray[np.float64], node: int, other: int) -> float:
+    """Return the squared distance of the boxes of two nodes."""
+    i, j = np.uint64(node), np.uint64(other)
+    dx = max(boxes[i, 0] - boxes[j, 3], boxes[j, 0] - boxes[i, 3], 0.0)
+    dy = max(boxes[i, 1] - boxes[j, 4], boxes[j, 1] - boxes[i, 4], 0.0)
+    dz = max(boxes[i, 2] - boxes[j, 5], boxes[j, 2] - boxes[i, 5], 0.0)
+    return (dx * dx + dy * dy) + dz * dz
+
+
+@inlined
+def is_one_place(boxes: NDArray[np.float64], node: int) -> bool:
+    """Tell whether all points of a node share one place."""
+    return (
+        boxes[node, 0] == boxes[node, 3]
+        and boxes[node, 1] == boxes[node, 4]
+        and boxes[node, 2] == boxes[node, 5]
+    )
+
+
+@compiled
+def leaf_node(tree: Tree, leaf: int) -> int:
+    """Return the number of a leaf's node."""
+    node, first, leaves = 0, 0, leaf_count(tree.rows.size)
+    while leaves > 1:
+        left = (leaves + 1) // 2
+        if leaf < first + left:
+            node, leaves = node + 1, left
+        else:
+            node, first, leaves = node + 2 * left, first + left, leaves - left
+    return node
+
+
+@compiled
+def middle_of_leaf(tree: Tree, leaf: int) -> int:
+    """Return the position of the point of a leaf that is nearest to the middle of its box."""
+    boxes, node = tree.boxes, leaf_node(tree, leaf)
+    x = 0.5 * boxes[node, 0] + 0.5 * boxes[node, 3]
+    y = 0.5 * boxes[node, 1] + 0.5 * boxes[node, 4]
+    z = 0.5 * boxes[node, 2] + 0.5 * boxes[node, 5]
+    best, least = leaf * LEAF_SIZE, np.inf
+    for i in range(leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)):
+        distance = point_distance(tree, i, x, y, z)
+        if distance < least:
+            best, least = i, distance
+    return best

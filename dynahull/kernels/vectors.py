@@ -1,169 +1,20 @@
-"""The innermost loops, written as vector instructions.
+"""The innermost loops, written as vector instructions; see `dynahull.kernels.lanes`.
 
-A neighbourhood is a handful of vectors long. Loops that a compiler turns into vectors by itself
-are unrolled for long arrays, and spend most of so short a one before and after the vectors. These
-are written out for LLVM, as expressions over `Lanes`: 64 bytes of an array at a time, which
-machines with shorter registers do in halves or quarters, with the same bits.
+Each is an intrinsic of numba: called from compiled code, it writes its loop there.
 """
 
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
-VECTOR_BYTES = 64
+from dynahull.kernels.lanes import INDEX, Lanes, VectorLoop
 
 INDEX_BITS, ROUGH_INDEX_BITS = 14, 7
 """Lowest bits of a double, and of a single, that tell a point's index where the least is sought."""
-
-_INDEX = ir.IntType(64)
-
-
-def padded(count: int) -> int:
-    """Return a length of arrays that holds so many numbers in whole vectors."""
-    return (count + 15) // 16 * 16
-
-
-def aligned(size: int, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return an array of zeros whose first element begins a vector."""
-    bytes_wanted = size * np.dtype(dtype).itemsize
-    room = np.zeros(bytes_wanted + VECTOR_BYTES, np.uint8)
-    begin = -room.ctypes.data % VECTOR_BYTES
-    return room[begin : begin + bytes_wanted].view(dtype)
-
-
-class Lanes:
-    """The lanes of one vector, or one number in all of them, as an expression."""
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.builder = builder
-        self.value = value
-
-    def __add__(self, other: Self) -> "Lanes":
-        return Lanes(self.builder, self.builder.fadd(self.value, other.value))
-
-    def __sub__(self, other: Self) -> "Lanes":
-        return Lanes(self.builder, self.builder.fsub(self.value, other.value))
-
-    def __mul__(self, other: Self) -> "Lanes":
-        return Lanes(self.builder, self.builder.fmul(self.value, other.value))
-
-    def __truediv__(self, other: Self) -> "Lanes":
-        return Lanes(self.builder, self.builder.fdiv(self.value, other.value))
-
-    def __lt__(self, other: Self) -> Any:
-        return self.builder.fcmp_ordered("<", self.value, other.value)
-
-    def where(self, condition: Any, other: Self) -> "Lanes":
-        """Take these lanes where a condition holds, and others elsewhere."""
-        return Lanes(self.builder, self.builder.select(condition, self.value, other.value))
-
-
-class VectorLoop:
-    """A loop over arrays of one type, `VECTOR_BYTES` at a time.
-
-    Parameters
-    ----------
-    context, builder
-        Of numba, where an intrinsic writes its code.
-    array_type
-        Numba's type of the arrays.
-    """
-
-    def __init__(self, context: Any, builder: Any, array_type: Any) -> None:
-        self.context = context
-        self.builder = builder
-        self.array_type = array_type
-        self.number = context.get_value_type(array_type.dtype)
-        self.lanes = VECTOR_BYTES * 8 // array_type.dtype.bitwidth
-        self.vector = ir.VectorType(self.number, self.lanes)
-        self.bits = ir.IntType(array_type.dtype.bitwidth)
-        self.bits_vector = ir.VectorType(self.bits, self.lanes)
-
-    def run(self, size: Any, body: Callable[[Any], None]) -> None:
-        """Write `body(index)` for the first index of every vector of arrays of a size."""
-        step = _INDEX(self.lanes)
-        with cgutils.for_range_slice(self.builder, _INDEX(0), size, step) as (index, _):
-            body(index)
-
-    def data(self, array: Any) -> Any:
-        """Return the address of an array's first element."""
-        return self.context.make_array(self.array_type)(self.context, self.builder, array).data
-
-    def load(self, data: Any, index: Any) -> Lanes:
-        """Read the vector at an index."""
-        address = self.builder.bitcast(self.builder.gep(data, [index]), self.vector.as_pointer())
-        return Lanes(
-            self.builder, self.builder.load(address, align=self.array_type.dtype.bitwidth // 8)
-        )
-
-    def store(self, lanes: Lanes, data: Any, index: Any) -> None:
-        """Write the vector at an index."""
-        address = self.builder.bitcast(self.builder.gep(data, [index]), self.vector.as_pointer())
-        self.builder.store(lanes.value, address, align=self.array_type.dtype.bitwidth // 8)
-
-    def same(self, value: Any) -> Lanes:
-        """Put one number into all lanes."""
-        return Lanes(self.builder, self._spread(value, self.vector))
-
-    def constant(self, value: float) -> Lanes:
-        """Put a constant into all lanes."""
-        return Lanes(self.builder, ir.Constant(self.vector, [value] * self.lanes))
-
-    def indices(self, index: Any) -> Any:
-        """Return the index of each lane, as integers as wide as the numbers."""
-        first = self.builder.trunc(index, self.bits) if self.bits.width < 64 else index
-        counting = ir.Constant(self.bits_vector, list(range(self.lanes)))
-        return self.builder.add(self._spread(first, self.bits_vector), counting)
-
-    def is_at(self, indices: Any, index: Any) -> Any:
-        """Tell which lanes have an index."""
-        wanted = self.builder.trunc(index, self.bits) if self.bits.width < 64 else index
-        return self.builder.icmp_unsigned("==", indices, self._spread(wanted, self.bits_vector))
-
-    def is_before(self, indices: Any, end: Any) -> Any:
-        """Tell which lanes have an index below an end: the last vector may go beyond it."""
-        end = self.builder.trunc(end, self.bits) if self.bits.width < 64 else end
-        return self.builder.icmp_signed("<", indices, self._spread(end, self.bits_vector))
-
-    def tagged(self, lanes: Lanes, indices: Any, tag_bits: int) -> Lanes:
-        """Put the indices into the lowest bits of the numbers."""
-        builder = self.builder
-        keep = ir.Constant(self.bits_vector, [-(2**tag_bits)] * self.lanes)
-        bits = builder.and_(builder.bitcast(lanes.value, self.bits_vector), keep)
-        return Lanes(builder, builder.bitcast(builder.or_(bits, indices), self.vector))
-
-    def reduced(self, lanes: Lanes, operation: str) -> Any:
-        """Return the smallest (`fmin`) or largest (`fmax`) of the numbers, none of them NaN."""
-        reduce = cgutils.get_or_insert_function(
-            self.builder.module,
-            ir.FunctionType(self.number, [self.vector]),
-            f"llvm.vector.reduce.{operation}.v{self.lanes}f{self.bits.width}",
-        )
-        return self.builder.call(reduce, [lanes.value], fastmath=("nnan", "nsz"))
-
-    def tag_of_least(self, lanes: Lanes, tag_bits: int) -> Any:
-        """Return the tag of the smallest number."""
-        builder = self.builder
-        bits = builder.bitcast(self.reduced(lanes, "fmin"), self.bits)
-        bits = builder.zext(bits, _INDEX) if self.bits.width < 64 else bits
-        return builder.and_(bits, _INDEX(2**tag_bits - 1))
-
-    def count(self, condition: Any) -> Any:
-        """Count the lanes for which a condition holds."""
-        mask = self.builder.bitcast(condition, ir.IntType(self.lanes))
-        return self.builder.zext(self.builder.ctpop(mask), _INDEX)
-
-    def _spread(self, value: Any, vector: Any) -> Any:
-        undefined = ir.Constant(vector, ir.Undefined)
-        first = self.builder.insert_element(undefined, value, ir.IntType(32)(0))
-        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), [0] * self.lanes)
-        return self.builder.shuffle_vector(first, undefined, everywhere)
 
 
 @intrinsic
@@ -189,7 +40,7 @@ def depths_below(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, de
         normal_x, normal_y, normal_z, height, least = (
             loop.same(number) for number in cgutils.unpack_tuple(builder, plane)
         )
-        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+        counted = cgutils.alloca_once_value(builder, INDEX(0))
 
         def body(index: Any) -> None:
             x, y, z = (loop.load(array, index) for array in data)
@@ -272,11 +123,11 @@ def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
         data = loop.data(arguments[0])
         limit = loop.same(arguments[2])
-        counted = cgutils.alloca_once_value(builder, _INDEX(0))
+        counted = cgutils.alloca_once_value(builder, INDEX(0))
 
         def body(index: Any) -> None:
             beyond = loop.count(limit < loop.load(data, index))
-            more = builder.sub(_INDEX(loop.lanes), beyond)
+            more = builder.sub(INDEX(loop.lanes), beyond)
             builder.store(builder.add(builder.load(counted), more), counted)
 
         loop.run(arguments[1], body)
@@ -338,11 +189,11 @@ def places_up_to(context: Any, values: Any, begin: Any, limit: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
         data, begin, limit = loop.data(arguments[0]), arguments[1], loop.same(arguments[2])
-        places = _INDEX(0)
+        places = INDEX(0)
         for first in range(0, 32, loop.lanes):
-            values = loop.load(data, builder.add(begin, _INDEX(first)))
+            values = loop.load(data, builder.add(begin, INDEX(first)))
             within = builder.bitcast(builder.not_(limit < values), ir.IntType(loop.lanes))
-            within = builder.shl(builder.zext(within, _INDEX), _INDEX(first))
+            within = builder.shl(builder.zext(within, INDEX), INDEX(first))
             places = builder.or_(places, within)
         return places
 

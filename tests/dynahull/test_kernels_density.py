@@ -47,11 +47,12 @@ def test_neighbours_are_those_of_the_plain_version(shape: str, k: int) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_densities_are_those_of_the_plain_version(shape: str) -> None:
+@pytest.mark.parametrize("k", [4, 75, 200])
+def test_densities_are_those_of_the_plain_version(shape: str, k: int) -> None:
     points = SHAPES[shape]()[::3]
     rows = np.arange(len(points))
-    expected = reference_densities(points, rows, 75)
-    assert hull_densities(points, rows, 75).density == pytest.approx(expected, rel=1e-9)
+    expected = reference_densities(points, rows, k)
+    assert hull_densities(points, rows, k).density == pytest.approx(expected, rel=1e-9)
 
 
 def test_squared_reach_is_that_of_numpy_to_the_last_bit() -> None:
