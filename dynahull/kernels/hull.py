@@ -9,9 +9,9 @@ stay.
 The turns are done in floating point and may be misled. So nothing is taken from them on trust:
 each facet found must have all other points strictly below it, by the exact predicate. Such
 triangles are facets of the hull beyond doubt, and once every edge has its two sides there are no
-others. So it does not matter to any bit of the result that turns are first tried in single
-precision, which is right but for points nearly coplanar, and only then in double. A wrapping that
-still contradicts itself is repeated with the points shaken otherwise.
+others. So it does not matter to any bit of the result whether turns are made in single precision,
+which is right but for points nearly coplanar, or in double. A wrapping that contradicts itself in
+both is repeated with the points shaken otherwise.
 """
 
 from typing import NamedTuple
@@ -110,24 +110,27 @@ def hull_volume(
     unit = enter_frame(points, count)
     if unit == 0.0:
         return 0.0, rough_first
-    set_on_grid(points, count, 0)
-    if rough_first and count <= 2**ROUGH_INDEX_BITS:
-        volume = _wrap(points, count, surface, True)
-        if volume >= 0.0:
-            return unit * volume, True
+    can_be_rough = count <= 2**ROUGH_INDEX_BITS
     for attempt in range(SHAKES):
-        if attempt > 0:
-            set_on_grid(points, count, attempt)
-        volume = _wrap(points, count, surface, False)
-        if volume >= 0.0:
-            return unit * volume, False
+        set_on_grid(points, count, attempt)
+        # Both before the next shake, and the facets in one order: the result is the same.
+        for rough in (rough_first, not rough_first):
+            if rough and not can_be_rough:
+                continue
+            # Literals: each precision is compiled apart.
+            if rough:
+                volume = _wrap(points, count, surface, True)
+            else:
+                volume = _wrap(points, count, surface, False)
+            if volume >= 0.0:
+                return unit * volume, rough
     return np.nan, False
 
 
 @compiled
 def _wrap(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> float:
     """Find the facets of the hull; return the volume inside, or -1 where they contradict."""
-    _find_first_facet(points, count, surface, rough)
+    _find_first_facet(points, count, surface)
     facets, done = 1, 0
     volume = 0.0
     while done < facets and volume >= 0.0:
@@ -152,15 +155,19 @@ def _wrap(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> f
 
 
 @compiled
-def _find_first_facet(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> None:
-    """Turn a plane through the outermost point about the y axis, then about the edge it meets."""
+def _find_first_facet(points: Neighbourhood, count: int, surface: Surface) -> None:
+    """Turn a plane through the outermost point about the y axis, then about the edge it meets.
+
+    Always in double precision: the order of the facets, so of the sum over them, follows from
+    the first one.
+    """
     x, y, z = points.x, points.y, points.z
     a = place_of_largest(x, np.uint64(count))
-    _depths(points, count, surface, rough, a, 1.0, 0.0, 0.0)
-    b = _point_met(points, count, surface, rough, a, a, 0.0, 0.0, 1.0)
+    _depths(points, count, surface, False, a, 1.0, 0.0, 0.0)
+    b = _point_met(points, count, surface, False, a, a, 0.0, 0.0, 1.0)
     dx, dy, dz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-    _depths(points, count, surface, rough, a, -dz, 0.0, dx)
-    c = _point_met(points, count, surface, rough, a, b, -dx * dy, dz * dz + dx * dx, -dz * dy)
+    _depths(points, count, surface, False, a, -dz, 0.0, dx)
+    c = _point_met(points, count, surface, False, a, b, -dx * dy, dz * dz + dx * dx, -dz * dy)
     _add_facet(points, surface, np.uint64(0), b, a, c)
 
 

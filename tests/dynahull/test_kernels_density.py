@@ -162,3 +162,16 @@ def test_what_cannot_be_computed_is_refused(
 ) -> None:
     with pytest.raises(error):
         hull_densities(points, rows, k, threads=threads)
+
+
+def test_the_precision_of_the_turns_leaves_no_trace() -> None:
+    """A neighbourhood is tried in the precision that the query before it needed."""
+    random = np.random.default_rng(0)
+    smooth, lattice = surface(0, 2000), surface(1, 2000, 0.1)
+    points = np.vstack([smooth, lattice + [0.5, 0.5, 0]])
+    rows = np.arange(len(points))
+    expected = hull_densities(points, rows, 75).density
+    for _ in range(5):
+        queries = random.random(len(points)) < 0.02
+        some = hull_densities(points, rows, 75, queries=queries).density
+        assert np.array_equal(some[queries], expected[queries])
