@@ -3,7 +3,7 @@
 One run, one core, the same points in the same order for all, alternating, medians of processor
 time. Prints the machine, the date and ratios:
 
-    python -m benchmarks.density [--maps ../shared/data/maps] [--quick]
+    OMP_NUM_THREADS=1 python -m benchmarks.density [--maps ../shared/data/maps] [--quick]
 
 The published procedure is `sklearn.neighbors.KDTree.query(k=75)` and a Python loop over
 `scipy.spatial.ConvexHull(neighbours).volume`. Other libraries are timed on neighbours alone, where
