@@ -41,6 +41,26 @@ class PointCountError(TilingError):
     """A writer was given more or fewer points than it was opened for."""
 
 
+class RowRangeError(TilingError):
+    """Rows were asked for that a map does not have.
+
+    Parameters
+    ----------
+    name : str
+        What the map is called.
+    rows : range
+        What was asked for.
+    point_count : int
+        Points in the map.
+    """
+
+    def __init__(self, name: str, rows: range, point_count: int) -> None:
+        self.rows = rows
+        self.point_count = point_count
+        message = f"{name}: expected consecutive rows from 0 to {point_count}, found {rows}"
+        super().__init__("".join(c if c.isprintable() else "?" for c in message))
+
+
 class NoMapError(TilingError):
     """The files, folders or patterns given name no map.
 

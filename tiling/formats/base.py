@@ -7,8 +7,8 @@ output bit for bit.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.errors import PointCountError
+from tiling.errors import PointCountError, RowRangeError
 
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
@@ -102,6 +102,24 @@ class PointBatch:
         """Return the records of the points where `chosen` is true, in order."""
         return self.records[chosen]
 
+    def within(self, rows: range) -> Self | None:
+        """Return the part of the batch whose row numbers lie in a range, None if there is none."""
+        start = max(rows.start - self.first_row, 0)
+        stop = min(rows.stop - self.first_row, len(self.xyz))
+        if start >= stop:
+            return None
+        if (start, stop) == (0, len(self.xyz)):
+            return self
+        part = slice(start, stop)
+        classes = None if self.classification is None else self.classification[part]
+        return replace(
+            self,
+            first_row=self.first_row + start,
+            xyz=self.xyz[part],
+            records=self.records[part],
+            classification=classes,
+        )
+
 
 class MapWriter(ABC):
     """Writes a map of a known number of points, as a stream.
@@ -170,16 +188,67 @@ class MapReader(ABC):
 
     description: MapDescription
 
+    @property
     @abstractmethod
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield every point, in the file's order, at most `max_points` at a time.
+    def seekable(self) -> bool:
+        """Whether some of the rows can be read without all rows before them.
+
+        Then a range costs in proportion to its length.
+        """
+
+    def batches(
+        self, max_points: int = DEFAULT_BATCH, rows: range | None = None
+    ) -> Iterator[PointBatch]:
+        """Yield points, in the file's order, at most `max_points` at a time.
+
+        Parameters
+        ----------
+        max_points : int
+            Points in a batch.
+        rows : range, optional
+            Consecutive row numbers of the points wanted; otherwise all. What follows the last
+            of them in the file is neither read nor checked.
 
         Raises
         ------
+        RowRangeError
+            When the file has no such rows.
         MapFormatError
             When the points are not what the header announced.
         """
+        description = self.description
+        rows = checked_rows(str(description.path), rows, description.point_count)
+        return self._batches(max_points, rows)
+
+    @abstractmethod
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        """Yield the points of a range of rows that the file has."""
 
     @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map of `point_count` points in this map's format, header and all."""
+
+
+def checked_rows(name: str, rows: range | None, point_count: int) -> range:
+    """Return consecutive rows that a map has: those given, or all.
+
+    Raises
+    ------
+    RowRangeError
+        When the map has no such rows.
+    """
+    if rows is None:
+        return range(point_count)
+    if rows.step != 1 or not 0 <= rows.start <= rows.stop <= point_count:
+        raise RowRangeError(name, rows, point_count)
+    return rows
+
+
+def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch]:
+    """Take a range of rows out of consecutive batches, and ask for none after its end."""
+    for batch in batches:
+        part = batch.within(rows)
+        if part is not None:
+            yield part
+        if batch.first_row + len(batch.xyz) >= rows.stop:
+            return

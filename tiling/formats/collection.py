@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tiling.errors import NoMapError
 from tiling.formats import MAP_SUFFIXES, open_map
-from tiling.formats.base import DEFAULT_BATCH, MapReader, PointBatch
+from tiling.formats.base import DEFAULT_BATCH, MapReader, PointBatch, checked_rows
 
 _HASH_BLOCK = 1 << 20
 
@@ -109,12 +109,27 @@ class MapCollection:
         return tuple(reader.description.path for reader in self.readers)
 
     @property
+    def name(self) -> str:
+        """What to call the map in messages: its file, or the first of them."""
+        others = len(self.readers) - 1
+        return f"{self.paths[0]} and {others} more" if others else str(self.paths[0])
+
+    @property
     def has_classification(self) -> bool:
         """Whether every file carries ASPRS classes."""
         return all(reader.description.has_classification for reader in self.readers)
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[tuple[int, PointBatch]]:
-        """Yield every point of the map, at most `max_points` at a time.
+    def batches(
+        self, max_points: int = DEFAULT_BATCH, rows: range | None = None
+    ) -> Iterator[tuple[int, PointBatch]]:
+        """Yield points of the map, in order, at most `max_points` at a time.
+
+        Parameters
+        ----------
+        max_points : int
+            Points in a batch.
+        rows : range, optional
+            Consecutive row numbers, in the whole map, of the points wanted; otherwise all.
 
         Yields
         ------
@@ -125,13 +140,45 @@ class MapCollection:
 
         Raises
         ------
+        RowRangeError
+            When the map has no such rows.
         MapFormatError
             When the points of a file are not what its header announced.
         """
+        rows = checked_rows(self.name, rows, self.point_count)
         for file, (reader, first_row) in enumerate(zip(self.readers, self.first_rows, strict=True)):
-            for batch in reader.batches(max_points):
-                batch.first_row += first_row
-                yield file, batch
+            start = max(rows.start - first_row, 0)
+            stop = min(rows.stop - first_row, reader.description.point_count)
+            if start < stop:
+                for batch in reader.batches(max_points, range(start, stop)):
+                    batch.first_row += first_row
+                    yield file, batch
+
+    def row_ranges(self, max_points: int) -> list[range]:
+        """Cut the map into row ranges that several workers can read side by side.
+
+        Parameters
+        ----------
+        max_points : int
+            Points in a range, at most, where that is possible: a file that can only be read from
+            its beginning is in one range as a whole.
+
+        Returns
+        -------
+        list of range
+            Consecutive and not empty; together all rows.
+        """
+        ranges: list[range] = []
+        for reader, first_row in zip(self.readers, self.first_rows, strict=True):
+            last = first_row + reader.description.point_count
+            step = max_points if reader.seekable else max(last - first_row, 1)
+            for start in range(first_row, last, step):
+                part = range(start, min(start + step, last))
+                if ranges and len(ranges[-1]) + len(part) <= max_points:
+                    ranges[-1] = range(ranges[-1].start, part.stop)
+                else:
+                    ranges.append(part)
+        return ranges
 
 
 def _files_of(argument: Path | str) -> list[Path]:

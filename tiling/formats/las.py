@@ -8,6 +8,7 @@ laspy names them, and coordinates are computed as laspy computes them.
 
 import struct
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,7 +17,7 @@ from laspy.point.format import PointFormat
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import DEFAULT_BATCH, Field, MapDescription, MapReader, PointBatch
+from tiling.formats.base import Field, MapDescription, MapReader, PointBatch
 from tiling.formats.las_crs import crs_name
 from tiling.formats.las_header import (
     AT_WAVEFORMS,
@@ -32,6 +33,7 @@ from tiling.formats.laz import (
     PointSource,
     laszip_is_installed,
 )
+from tiling.formats.laz_chunks import knows_chunks
 from tiling.formats.laz_header import Compression, read_compression
 
 _LARGEST_BATCH = 1 << 28
@@ -74,14 +76,25 @@ class LasReader(MapReader):
             self._compression = read_compression(self._header)
         self.description = _describe(self._header)
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield the points; `records` is (n, record_length) uint8."""
+    @property
+    def seekable(self) -> bool:
+        """Whether points are not compressed, or in chunks that can be found."""
+        return self._compression is None or self._has_known_chunks
+
+    @cached_property
+    def _has_known_chunks(self) -> bool:
+        assert self._compression is not None
+        with self._header.path.open("rb") as file:
+            return knows_chunks(file, self._header, self._compression)
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        """Yield points whose `records` are (n, record_length) uint8."""
         header = self._header
-        rows = max(1, min(max_points, _LARGEST_BATCH // header.record_length))
+        most = max(1, min(max_points, _LARGEST_BATCH // header.record_length))
         with header.path.open("rb") as file:
-            source = self._point_source(file)
-            for first in range(0, header.point_count, rows):
-                count = min(rows, header.point_count - first)
+            source = self._point_source(file, rows)
+            for first in range(rows.start, rows.stop, most):
+                count = min(most, rows.stop - first)
                 records = np.empty((count, header.record_length), dtype=np.uint8)
                 source.read_into(records)
                 yield PointBatch(
@@ -92,21 +105,21 @@ class LasReader(MapReader):
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
         return LasWriter(path, point_count, self._header, self._compression)
 
-    def _point_source(self, file: BinaryIO) -> PointSource:
+    def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:
-            return _RawPoints(file, self._header)
+            return _RawPoints(file, self._header, rows.start)
         if self._compression.needs_laszip and laszip_is_installed():
-            return LaszipPoints(file, self._header, self._compression)
-        return LazPoints(file, self._header, self._compression)
+            return LaszipPoints(file, self._header, self._compression, rows)
+        return LazPoints(file, self._header, self._compression, rows)
 
 
 class _RawPoints:
-    """The points of an uncompressed file, in order."""
+    """The points of an uncompressed file from a row on, in order."""
 
-    def __init__(self, file: BinaryIO, header: LasHeader) -> None:
+    def __init__(self, file: BinaryIO, header: LasHeader, first_row: int) -> None:
         self._file = file
         self._header = header
-        file.seek(header.points_offset)
+        file.seek(header.points_offset + first_row * header.record_length)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
         """Read the next points into (n, record_length)."""

@@ -24,6 +24,8 @@ laspy: Any = import_module("laspy")
 lazrs: Any = import_module("lazrs")
 
 _CHUNK_TABLE_WITHOUT_ENTRIES = bytes(8)
+_PASSED_AT_A_TIME = 50_000
+"""Points decompressed at a time only to come to those after them."""
 
 
 class PointSource(Protocol):
@@ -34,7 +36,7 @@ class PointSource(Protocol):
 
 
 class LazPoints:
-    """Decompresses the points of a LAZ file, in order.
+    """Decompresses the points of a LAZ file from a row on, in order.
 
     Parameters
     ----------
@@ -44,6 +46,8 @@ class LazPoints:
         Its header.
     compression : Compression
         Its laszip VLR.
+    rows : range
+        The points that will be read.
 
     Raises
     ------
@@ -51,15 +55,18 @@ class LazPoints:
         When chunks or layers contradict the file's size.
     """
 
-    def __init__(self, file: BinaryIO, header: LasHeader, compression: Compression) -> None:
+    def __init__(
+        self, file: BinaryIO, header: LasHeader, compression: Compression, rows: range
+    ) -> None:
         self._file = file
         self._header = header
         self._compression = compression
-        self._stretches = split_into_stretches(file, header, compression)
+        self._stretches = split_into_stretches(file, header, compression, rows)
         self._left_in_stretch = 0
         self._window: _Window | None = None
         self._decompressor: Any | None = None
         self._row = 0
+        self._first_row = rows.start
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
         """Decompress the next points.
@@ -74,6 +81,8 @@ class LazPoints:
         MapFormatError
             When the compressed bytes end too early or make no sense.
         """
+        if self._decompressor is None:
+            self._pass_over_points_before_range()
         done = 0
         while done < len(records):
             if self._left_in_stretch == 0:
@@ -86,6 +95,17 @@ class LazPoints:
             self._check_single_channel(records)
         self._row += len(records)
 
+    def _pass_over_points_before_range(self) -> None:
+        """Decompress what precedes the first row in its chunk."""
+        self._open_next_stretch()
+        while self._row < self._first_row:
+            count = min(self._first_row - self._row, self._left_in_stretch, _PASSED_AT_A_TIME)
+            self._decompress(np.empty((count, self._header.record_length), dtype=np.uint8))
+            self._left_in_stretch -= count
+            self._row += count
+            if self._left_in_stretch == 0 and self._row < self._first_row:
+                self._open_next_stretch()
+
     def _open_next_stretch(self) -> None:
         stretch = next(self._stretches, None)
         if stretch is None:
@@ -94,6 +114,7 @@ class LazPoints:
                 f"{self._header.point_count} points",
                 f"chunks of {self._row} or more, but not as many",
             )
+        self._row = stretch.first_row
         self._left_in_stretch = stretch.points
         has_chunks = self._compression.has_chunks
         self._window = _Window(self._file, stretch.start, stretch.end, has_chunks)
@@ -206,6 +227,8 @@ class LaszipPoints:
         Its header.
     compression : Compression
         Its laszip VLR.
+    rows : range
+        The points that will be read.
 
     Raises
     ------
@@ -213,8 +236,10 @@ class LaszipPoints:
         When chunks or layers contradict the file's size.
     """
 
-    def __init__(self, file: BinaryIO, header: LasHeader, compression: Compression) -> None:
-        for _ in split_into_stretches(file, header, compression):
+    def __init__(
+        self, file: BinaryIO, header: LasHeader, compression: Compression, rows: range
+    ) -> None:
+        for _ in split_into_stretches(file, header, compression, range(header.point_count)):
             pass
         self._header = header
         file.seek(0)
@@ -222,6 +247,8 @@ class LaszipPoints:
             self._reader = laspy.open(
                 file, laz_backend=laspy.LazBackend.Laszip, read_evlrs=False, closefd=False
             )
+            if rows.start:
+                self._reader.seek(rows.start)
         except Exception as error:
             self._refuse_points(error)
 

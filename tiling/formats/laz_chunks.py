@@ -9,6 +9,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import accumulate
 from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
@@ -24,18 +25,32 @@ _LARGEST_CHUNK_ENTRY = 16
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Compressed bytes of chunks that all have the same number of points."""
+    """Compressed bytes of chunks that all have the same number of points.
+
+    Attributes
+    ----------
+    start, end : int
+        Bytes of the file.
+    first_row, points : int
+        Row number of the first point, and the number of points.
+    chunk_size : int
+        Points in a chunk.
+    """
 
     start: int
     end: int
+    first_row: int
     points: int
     chunk_size: int
 
 
 def split_into_stretches(
-    file: BinaryIO, header: LasHeader, compression: Compression
+    file: BinaryIO, header: LasHeader, compression: Compression, rows: range
 ) -> Iterator[Stretch]:
-    """Yield the stretches of a file's points, each checked before it is shown to a decompressor.
+    """Yield the stretches that hold some rows, each checked before it meets a decompressor.
+
+    The first begins with the chunk of the first row, or with the first chunk of all where it is
+    not known where the others begin.
 
     Raises
     ------
@@ -43,27 +58,58 @@ def split_into_stretches(
         When chunks or layers contradict the file's size.
     """
     start, end = header.points_offset, header.file_size
-    if header.point_count == 0:
+    if not rows:
         return
     if not compression.has_chunks:
-        yield Stretch(start, end, header.point_count, header.point_count)
+        yield Stretch(start, end, 0, header.point_count, header.point_count)
     elif compression.has_variable_chunks:
-        yield from _split_variable(file, header, compression)
+        yield from _split_variable(file, header, compression, rows)
     else:
         start += 8
         if start > end:
             refuse(header, "8 bytes for the offset to the chunk table", "the file's end", end)
+        first_chunk = rows.start // compression.chunk_size
         if compression.has_layers:
-            chunks = -(-header.point_count // compression.chunk_size)
-            end = _walk_layers(file, header, compression, start, end, chunks)
-        yield Stretch(start, end, header.point_count, compression.chunk_size)
+            chunks = -(-rows.stop // compression.chunk_size)
+            start = _walk_layers(file, header, compression, start, end, first_chunk)
+            end = _walk_layers(file, header, compression, start, end, chunks - first_chunk)
+        elif first_chunk:
+            starts = _chunk_starts(file, header, compression)
+            first_chunk = 0 if starts is None else first_chunk
+            start = start if starts is None else starts[first_chunk]
+        first_row = first_chunk * compression.chunk_size
+        yield Stretch(start, end, first_row, header.point_count - first_row, compression.chunk_size)
+
+
+def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:
+    """Tell whether it is known where each chunk begins."""
+    if not compression.has_chunks:
+        return False
+    if compression.has_variable_chunks or compression.has_layers:
+        return True
+    return _chunk_starts(file, header, compression) is not None
+
+
+def _chunk_starts(file: BinaryIO, header: LasHeader, compression: Compression) -> list[int] | None:
+    """Return where chunks of one size begin, None where the chunk table cannot be relied on.
+
+    It is not needed to read such chunks one after the other, and may be missing or wrong.
+    """
+    try:
+        table_start, table = read_chunk_table(file, header, compression)
+    except MapFormatError:
+        return None
+    start = header.points_offset + 8
+    *starts, end = accumulate((size for _, size in table), initial=start)
+    chunks = -(-header.point_count // compression.chunk_size)
+    return starts if end == table_start and len(starts) == chunks else None
 
 
 def _split_variable(
-    file: BinaryIO, header: LasHeader, compression: Compression
+    file: BinaryIO, header: LasHeader, compression: Compression, rows: range
 ) -> Iterator[Stretch]:
-    """Yield the chunks that the chunk table names, as far as the header counts points."""
-    left = header.point_count
+    """Yield the chunks of some rows that the chunk table names."""
+    first_row = 0
     table_start, table = read_chunk_table(file, header, compression)
     start = header.points_offset + 8
     for points, size in table:
@@ -75,11 +121,15 @@ def _split_variable(
                 f"a chunk of {size} bytes",
                 start,
             )
-        if points and compression.has_layers:
+        wanted = first_row < rows.stop and first_row + points > rows.start
+        # What lies beyond the last point is checked too.
+        surplus = first_row >= header.point_count
+        if points and compression.has_layers and (wanted or surplus):
             _walk_layers(file, header, compression, start, end, 1)
-        if points and left:
-            yield Stretch(start, end, min(points, left), points)
-            left -= min(points, left)
+        if wanted:
+            count = min(points, header.point_count - first_row)
+            yield Stretch(start, end, first_row, count, points)
+        first_row += points
         start = end
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
-    DEFAULT_BATCH,
     Field,
     MapDescription,
     MapReader,
@@ -58,13 +57,19 @@ class NpyReader(MapReader):
             notes=(f"The {surplus} bytes after the array are left out.",) if surplus else (),
         )
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield every point; see `MapReader.batches`."""
+    @property
+    def seekable(self) -> bool:
+        """Always: every element has its place."""
+        return True
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
         with self._path.open("rb") as file:
-            rows = RowReader([file] * header.column_count, header, self._path)
-            for first in range(0, header.row_count, max_points):
-                records = rows.read(min(max_points, header.row_count - first))
+            reader = RowReader(
+                [file] * header.column_count, header, self._path, first_row=rows.start
+            )
+            for first in range(rows.start, rows.stop, max_points):
+                records = reader.read(min(max_points, rows.stop - first))
                 yield PointBatch(first, header.coordinates(records), records)
 
     def writer(self, path: Path, point_count: int) -> MapWriter:

@@ -245,16 +245,23 @@ class RowReader:
         The file, for messages.
     name : str
         What to call the array in messages.
+    first_row : int
+        Where to begin.
     """
 
     def __init__(
-        self, streams: Sequence[BinaryIO], header: ArrayHeader, path: Path, name: str = "array"
+        self,
+        streams: Sequence[BinaryIO],
+        header: ArrayHeader,
+        path: Path,
+        name: str = "array",
+        first_row: int = 0,
     ) -> None:
         self._streams = streams
         self._header = header
         self._path = path
         self._name = name
-        self._row = 0
+        self._row = first_row
 
     def read(self, count: int) -> NDArray[np.void]:
         """Read the next `count` rows.

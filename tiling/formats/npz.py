@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
-    DEFAULT_BATCH,
     MapDescription,
     MapReader,
     MapWriter,
@@ -93,9 +92,12 @@ class NpzReader(MapReader):
             ),
         )
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield every point; see `MapReader.batches`."""
-        count = self.description.point_count
+    @property
+    def seekable(self) -> bool:
+        """Never: an entry is unpacked from its beginning."""
+        return False
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         with _archive(self._path) as archive, ExitStack() as streams:
             readers = [
                 RowReader(
@@ -106,11 +108,12 @@ class NpzReader(MapReader):
                     header,
                     self._path,
                     f"array {name!r}",
+                    first_row=rows.start,
                 )
                 for name, header in self._columns
             ]
-            for first in range(0, count, max_points):
-                records = np.empty(min(max_points, count - first), dtype=self._dtype)
+            for first in range(rows.start, rows.stop, max_points):
+                records = np.empty(min(max_points, rows.stop - first), dtype=self._dtype)
                 arrays = {}
                 for field, (name, _), reader in zip(
                     self._dtype.names or (), self._columns, readers, strict=True
@@ -118,8 +121,9 @@ class NpzReader(MapReader):
                     arrays[name] = reader.read(len(records))
                     records[field] = arrays[name]
                 yield PointBatch(first, self._xyz(arrays), records)
-            for reader in readers:
-                reader.finish()
+            if rows.stop == self.description.point_count:
+                for reader in readers:
+                    reader.finish()
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an archive like this one; see `MapReader.writer`."""

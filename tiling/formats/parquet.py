@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,12 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
-    DEFAULT_BATCH,
     Field,
     MapDescription,
     MapReader,
     MapWriter,
     PointBatch,
+    only_rows,
 )
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
@@ -148,20 +149,41 @@ class ParquetReader(MapReader):
             crs=_crs(stored.get(_GEO)),
         )
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield every point; see `MapReader.batches`."""
-        row = 0
+    @property
+    def seekable(self) -> bool:
+        """Whether the row groups are short enough: a range is read by groups."""
+        return self._layout.group_rows <= _LONGEST_ROW_GROUP
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         with _opened(self._path) as file:
-            for batch in file.iter_batches(batch_size=max_points, use_threads=False):
-                table = pa.Table.from_batches([batch])
-                xyz = np.empty((table.num_rows, 3))
-                for column, name in enumerate(self._names):
-                    xyz[:, column] = _numbers(table.column(name))
-                if table.num_rows:
-                    yield TableBatch(row, xyz, table)
-                row += table.num_rows
-        if row != self.description.point_count:
-            expected = f"{self.description.point_count} rows, as the footer says"
+            metadata = file.metadata
+            sizes = [metadata.row_group(n).num_rows for n in range(metadata.num_row_groups)]
+            starts = list(accumulate(sizes, initial=0))
+            groups = [
+                n
+                for n, size in enumerate(sizes)
+                if starts[n] < rows.stop and starts[n] + size > rows.start
+            ]
+            if not groups:
+                return
+            first = starts[groups[0]]
+            yield from only_rows(self._group_batches(file, groups, first, max_points), rows)
+
+    def _group_batches(
+        self, file: pq.ParquetFile, groups: list[int], row: int, max_points: int
+    ) -> Iterator[PointBatch]:
+        """Yield the points of consecutive row groups, the first of which is in `row`."""
+        last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
+        for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
+            table = pa.Table.from_batches([batch])
+            xyz = np.empty((table.num_rows, 3))
+            for column, name in enumerate(self._names):
+                xyz[:, column] = _numbers(table.column(name))
+            if table.num_rows:
+                yield TableBatch(row, xyz, table)
+            row += table.num_rows
+        if row != last:
+            expected = f"{last} rows, as the footer says"
             raise MapFormatError(self._path, expected, f"{row}", at="the end")
 
     def writer(self, path: Path, point_count: int) -> MapWriter:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats import lzf
-from tiling.formats.base import DEFAULT_BATCH, MapDescription, MapReader, MapWriter, PointBatch
+from tiling.formats.base import MapDescription, MapReader, MapWriter, PointBatch, only_rows
 from tiling.formats.column_spool import ColumnSpool
 from tiling.formats.pcd_header import PcdField, PcdHeader, read_header
 from tiling.formats.text_rows import RowLayout, read_rows
@@ -67,13 +67,17 @@ class PcdReader(MapReader):
             notes=notes,
         )
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield every point, in the file's order, at most `max_points` at a time."""
+    @property
+    def seekable(self) -> bool:
+        """Whether the points are records of one size; compressed ones are columns."""
+        return self._header.encoding == "binary"
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         if self._header.encoding == "ascii":
-            return self._ascii_batches(max_points)
+            return only_rows(self._ascii_batches(max_points), rows)
         if self._header.encoding == "binary":
-            return self._binary_batches(max_points)
-        return self._compressed_batches(max_points)
+            return self._binary_batches(max_points, rows)
+        return self._compressed_batches(max_points, rows)
 
     def writer(self, path: Path, point_count: int) -> "PcdWriter":
         """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
@@ -141,12 +145,12 @@ class PcdReader(MapReader):
                 yield PointBatch(first_row, xyz, rows)
                 first_row += len(rows)
 
-    def _binary_batches(self, max_points: int) -> Iterator[PointBatch]:
+    def _binary_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
         with self._path.open("rb") as stream:
-            stream.seek(header.data_offset)
-            for first_row in range(0, header.point_count, max_points):
-                count = min(max_points, header.point_count - first_row)
+            stream.seek(header.data_offset + rows.start * header.record_size)
+            for first_row in range(rows.start, rows.stop, max_points):
+                count = min(max_points, rows.stop - first_row)
                 data = stream.read(count * header.record_size)
                 if len(data) < count * header.record_size:
                     raise MapFormatError(
@@ -158,7 +162,7 @@ class PcdReader(MapReader):
                 records = np.frombuffer(data, dtype=f"V{header.record_size}")
                 yield self._batch(first_row, records)
 
-    def _compressed_batches(self, max_points: int) -> Iterator[PointBatch]:
+    def _compressed_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         count = self._header.point_count
         widths = tuple(field.width for field in self._stored)
         if count == 0:
@@ -167,10 +171,9 @@ class PcdReader(MapReader):
             stream.seek(self._header.data_offset + _SIZES.size)
             for block in lzf.decompress(stream, self._packed_size, count * sum(widths), self._path):
                 spool.append(block)
-            for first_row in range(0, count, max_points):
-                yield self._batch(
-                    first_row, spool.read_points(first_row, min(max_points, count - first_row))
-                )
+            for first_row in range(rows.start, rows.stop, max_points):
+                records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
+                yield self._batch(first_row, records)
 
     def _batch(self, first_row: int, records: NDArray[np.void]) -> PointBatch:
         """Make a batch of binary records."""

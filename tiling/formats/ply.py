@@ -6,12 +6,12 @@ from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
-    DEFAULT_BATCH,
     Field,
     MapDescription,
     MapReader,
     MapWriter,
     PointBatch,
+    only_rows,
 )
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.ply_header import VERTEX, PlyHeader, PlyProperty, read_header
@@ -64,8 +64,35 @@ class PlyReader(MapReader):
             ),
         )
 
-    def batches(self, max_points: int = DEFAULT_BATCH) -> Iterator[PointBatch]:
-        """Yield every point; see `MapReader.batches`."""
+    @property
+    def seekable(self) -> bool:
+        """Whether the vertices are binary records of one size, with none of unknown size before."""
+        elements = self._header.elements
+        before = elements[: elements.index(self._header.vertex) + 1]
+        return self._header.encoding != "ascii" and all(each.is_fixed for each in before)
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        if rows == range(self.description.point_count):
+            return self._all_batches(max_points)
+        if self.seekable:
+            return self._range_batches(max_points, rows)
+        return only_rows(self._all_batches(max_points), rows)
+
+    def _range_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        """Yield some vertices, each of which has its place in the file."""
+        with self._path.open("rb") as file:
+            reader = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                if element.name == VERTEX:
+                    break
+                reader.skip(element)
+            reader.skip(element, rows.start)
+            for first in range(rows.start, rows.stop, max_points):
+                most = min(max_points, rows.stop - first)
+                records, xyz = reader.take(element, most, self._names)
+                yield PointBatch(first, xyz, records)
+
+    def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
         spans: dict[str, tuple[int, int]] = {}
         with self._path.open("rb") as file:
             rows = open_rows(file, self._header, self._path)

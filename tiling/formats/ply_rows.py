@@ -65,9 +65,9 @@ class PlyRows(ABC):
             When the file ends before, or a record is not what the header says.
         """
 
-    def skip(self, element: PlyElement) -> None:
-        """Pass over all records of `element`, checking them on the way."""
-        left = element.count
+    def skip(self, element: PlyElement, count: int | None = None) -> None:
+        """Pass over the next records of `element`, otherwise all, checking them on the way."""
+        left = element.count if count is None else count
         while left:
             left -= len(self.take(element, min(left, _BLOCK // 16))[0])
 
@@ -221,12 +221,13 @@ class BinaryRows(PlyRows):
                 values[:, column] = scalars[name]
         return records, values
 
-    def skip(self, element: PlyElement) -> None:
-        """Pass over all records of `element`, by its size where that is known."""
+    def skip(self, element: PlyElement, count: int | None = None) -> None:
+        """Pass over records of `element`, by their size where that is known."""
         if not element.is_fixed:
-            super().skip(element)
+            super().skip(element, count)
             return
-        end = self.position + element.count * element.least_bytes
+        count = element.count if count is None else count
+        end = self.position + count * element.least_bytes
         if end > self._size:
             self._end_of_file(element, end)
         self._move(end)
