@@ -1,0 +1,55 @@
+"""How much the whole `run` command costs beside its density stage.
+
+    python -m benchmarks.whole_run [MAP] [--runs 3]
+
+Prints, as medians over several runs of the command in a process of its own, the wall time of the
+command and of each stage as a ratio to the density stage. Asked: the whole at most 1.3, and ground,
+clustering and labelling at most 0.2 each.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+from benchmarks.density import machine
+
+COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "run"]
+
+
+def main() -> None:
+    """Run, read the reports, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = Path("../shared/data/maps/campus_loop.laz")
+    parser.add_argument("map", nargs="?", type=Path, default=default)
+    parser.add_argument("--runs", type=int, default=3)
+    arguments = parser.parse_args()
+    print(machine())
+    ratios: dict[str, list[float]] = {}
+    for number in range(arguments.runs + 1):
+        whole, seconds = measure(arguments.map)
+        if number == 0:
+            continue  # compiles, and warms the file cache
+        print(f"run {number}: {whole:.1f} s, density {seconds['density']:.1f} s", flush=True)
+        for stage, value in {"whole command": whole, **seconds}.items():
+            ratios.setdefault(stage, []).append(value / seconds["density"])
+    for stage, values in ratios.items():
+        print(f"{stage:<14} {median(values):6.3f}  ({min(values):.3f} to {max(values):.3f})")
+
+
+def measure(path: Path) -> tuple[float, dict[str, float]]:
+    """Return the wall time of the command, and of its stages, in seconds."""
+    with tempfile.TemporaryDirectory() as folder:
+        begun = perf_counter()
+        subprocess.run([*COMMAND, str(path), "-o", folder], check=True, capture_output=True)
+        whole = perf_counter() - begun
+        report = json.loads((Path(folder) / "run.json").read_text(encoding="utf-8"))
+    return whole, report["seconds"]
+
+
+if __name__ == "__main__":
+    main()
