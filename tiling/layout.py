@@ -1,56 +1,98 @@
-"""How a map is cut: a quadtree by point count, whose leaves are the cores of the tiles.
+"""How a map is cut: a quadtree by point count, whose leaves are the tiles.
 
-Cores are half-open squares of whole lattice columns, anchored at the coordinates' origin: every
-finite point lies in exactly one, and which one is decided by the same integers as in the survey.
+A tile's core is a half-open rectangle of whole lattice columns, so which tile a point is in is
+decided by the same integers as in the survey: every finite point is in exactly one. The root of
+the tree is the smallest square of 2^n columns that holds the map and begins where the map does: a
+map of few points is one tile, wherever it lies.
 """
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.survey import Occupancy, cells_of
+from tiling.formats.compiled import compiled
+from tiling.morton import morton_before, morton_order
+from tiling.occupancy import FARTHEST, Occupancy
 
 NO_TILE = -1
-"""The tile of a point without finite coordinates."""
+"""The tile of a point without finite coordinates, and of one that was not in the survey."""
 
-_TOP_LEVEL = 41
-"""A node of this level holds all columns of one quadrant: the lattice has 2^40 of them a side."""
+Columns = NDArray[np.int64]
+Corners = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One tile.
+
+    Attributes
+    ----------
+    index : int
+        Its number in the layout.
+    low, high : (2,) float64 arrays
+        Core: low <= x, y < high, metres; infinite at the edge of the lattice.
+    point_count : int
+        Points in the core.
+    """
+
+    index: int
+    low: Corners
+    high: Corners
+    point_count: int
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The tiles of a map, in Morton order.
+    """The tiles of a map, in Morton order: near in order is near in place.
 
     Attributes
     ----------
     cell : float
         Side of a lattice column, metres.
-    levels : (T,) int64 array
-        A tile's core is a square of 2^level columns a side.
-    corners : (T, 2) int64 array
-        Its place among the squares of its level: it begins at column `corner << level`.
+    origin : (2,) int64 array
+        Column at which the root of the quadtree begins.
+    begins, ends : (T, 2) int64 arrays
+        Cores in columns, half-open, no larger than the points in them need.
     counts : (T,) int64 array
-        Points in its core.
+        Points in each core.
     """
 
     cell: float
-    levels: NDArray[np.int64]
-    corners: NDArray[np.int64]
+    origin: Columns
+    begins: Columns
+    ends: Columns
     counts: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.counts)
 
-    @property
-    def low(self) -> NDArray[np.float64]:
-        """Where the cores begin, (T, 2), metres; inclusive."""
-        return np.asarray((self.corners << self.levels[:, None]) * self.cell)
+    def __getitem__(self, index: int) -> Tile:
+        """Return a tile."""
+        index = range(len(self))[index]
+        return Tile(index, self.low[index], self.high[index], int(self.counts[index]))
+
+    def __iter__(self) -> Iterator[Tile]:
+        low, high = self.low, self.high
+        for index, count in enumerate(self.counts.tolist()):
+            yield Tile(index, low[index], high[index], count)
 
     @property
-    def high(self) -> NDArray[np.float64]:
+    def low(self) -> Corners:
+        """Where the cores begin, (T, 2), metres; inclusive."""
+        return np.where(self.begins <= -FARTHEST / self.cell, -np.inf, self.begins * self.cell)
+
+    @property
+    def high(self) -> Corners:
         """Where the cores end, (T, 2), metres; exclusive."""
-        return np.asarray(((self.corners + 1) << self.levels[:, None]) * self.cell)
+        return np.where(self.ends > FARTHEST / self.cell, np.inf, self.ends * self.cell)
+
+    def overfull(self, max_points: int) -> NDArray[np.intp]:
+        """Return the tiles of more points: single columns, which are not divided."""
+        return np.flatnonzero(self.counts > max_points)
 
     def tile_of(self, xyz: NDArray[np.float64]) -> NDArray[np.int32]:
         """Return the tile whose core each point lies in.
@@ -65,29 +107,50 @@ class Layout:
         (n,) int32 array
             Index of the tile; `NO_TILE` where a coordinate is not finite.
         """
-        tiles = np.full(len(xyz), NO_TILE, np.int32)
-        finite = np.flatnonzero(np.isfinite(xyz).all(axis=1))
-        columns, place = np.unique(cells_of(xyz[finite], self.cell), axis=0, return_inverse=True)
-        tiles[finite] = self._tile_of_columns(columns)[place.ravel()]
+        tiles = np.empty(len(xyz), np.int32)
+        _find_tiles(xyz, 1 / self.cell, self.origin, self.begins, self.ends, tiles)
         return tiles
 
-    def near(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.intp]:
+    def within(self, low: Corners, high: Corners, margin: float) -> NDArray[np.intp]:
+        """Return the tiles whose core is within a margin of a box, in the maximum norm.
+
+        Parameters
+        ----------
+        low, high : (2,) float64 arrays
+            The box, metres; may be infinite.
+        margin : float
+            Metres.
+        """
+        return self.near(low - margin, high + margin)
+
+    def near(self, low: Corners, high: Corners) -> NDArray[np.intp]:
         """Return the tiles whose core meets a box, (low, high) being (2,) and maybe infinite."""
         meets = (self.low <= high) & (self.high >= low)
         return np.flatnonzero(meets.all(axis=1))
 
-    def _tile_of_columns(self, columns: NDArray[np.int64]) -> NDArray[np.int32]:
-        tiles = np.full(len(columns), NO_TILE, np.int32)
-        for level in np.unique(self.levels):
-            leaves = np.flatnonzero(self.levels == level)
-            nodes = np.concatenate([self.corners[leaves], columns >> level])
-            _, names = np.unique(nodes, axis=0, return_inverse=True)
-            names = names.ravel()
-            leaf_of_name = np.full(len(nodes), NO_TILE, np.int32)
-            leaf_of_name[names[: len(leaves)]] = leaves
-            found = leaf_of_name[names[len(leaves) :]]
-            tiles[found != NO_TILE] = found[found != NO_TILE]
-        return tiles
+    def to_json(self) -> str:
+        """Return the layout as text, which `from_json` reads."""
+        return json.dumps(
+            {
+                "cell": self.cell,
+                "origin": self.origin.tolist(),
+                "begins": self.begins.tolist(),
+                "ends": self.ends.tolist(),
+                "counts": self.counts.tolist(),
+            }
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> "Layout":
+        """Return the layout that `to_json` turned into this text."""
+        stored: dict[str, Any] = json.loads(text)
+        return cls(
+            float(stored["cell"]),
+            np.array(stored["origin"], np.int64),
+            np.array(stored["begins"], np.int64).reshape(-1, 2),
+            np.array(stored["ends"], np.int64).reshape(-1, 2),
+            np.array(stored["counts"], np.int64),
+        )
 
 
 def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
@@ -105,39 +168,87 @@ def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
     Layout
         Without empty tiles; no tiles for a map without finite points.
     """
-    columns, counts = occupancy.columns, occupancy.counts
-    leaves = []
-    for level in range(_TOP_LEVEL, -1, -1):
-        if not len(columns):
+    if not len(occupancy.counts):
+        nothing = np.empty((0, 2), np.int64)
+        return Layout(occupancy.cell, np.zeros(2, np.int64), nothing, nothing, nothing[:, 0])
+    origin = occupancy.columns.min(axis=0)
+    order = morton_order(occupancy.columns - origin)
+    columns, counts = occupancy.columns[order], occupancy.counts[order]
+    starts = _leaf_starts(columns - origin, counts, max_points)
+    return Layout(
+        occupancy.cell,
+        origin,
+        np.minimum.reduceat(columns, starts),
+        np.maximum.reduceat(columns, starts) + 1,
+        np.add.reduceat(counts, starts),
+    )
+
+
+def _leaf_starts(columns: Columns, counts: NDArray[np.int64], max_points: int) -> NDArray[np.intp]:
+    """Return where each leaf begins in columns in Morton order: a node is a run of them."""
+    leaves: list[NDArray[np.intp]] = []
+    places = np.arange(len(columns))
+    for level in range(int(columns.max()).bit_length(), -1, -1):
+        nodes = columns[places] >> level
+        first = np.append(True, (nodes[1:] != nodes[:-1]).any(axis=1))
+        starts = np.flatnonzero(first)
+        ends = (np.add.reduceat(counts[places], starts) <= max_points) | (level == 0)
+        leaves.append(places[starts[ends]])
+        places = places[~ends[np.cumsum(first) - 1]]
+        if not len(places):
             break
-        nodes, place = np.unique(columns >> level, axis=0, return_inverse=True)
-        place = place.ravel()
-        totals = np.bincount(place, weights=counts, minlength=len(nodes)).astype(np.int64)
-        ends = (totals <= max_points) | (level == 0)
-        leaves.append((np.full(int(ends.sum()), level), nodes[ends], totals[ends]))
-        rest = ~ends[place]
-        columns, counts = columns[rest], counts[rest]
-    if not leaves:
-        return Layout(
-            occupancy.cell, np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty(0, np.int64)
+    return np.sort(np.concatenate(leaves))
+
+
+@compiled
+def _find_tiles(
+    xyz: NDArray[np.float64],
+    cells_per_metre: float,
+    origin: Columns,
+    begins: Columns,
+    ends: Columns,
+    tiles: NDArray[np.int32],
+) -> None:
+    """Find the tile of each point: the last that begins no later in Morton order.
+
+    A leaf of the quadtree is a run of that order, and its core begins within it.
+    """
+    tile = 0
+    for point in range(len(xyz)):
+        tiles[point] = NO_TILE
+        x, y, z = xyz[point, 0], xyz[point, 1], xyz[point, 2]
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)) or len(begins) == 0:
+            continue
+        column_x = np.int64(np.floor(min(max(x, -FARTHEST), FARTHEST) * cells_per_metre))
+        column_y = np.int64(np.floor(min(max(y, -FARTHEST), FARTHEST) * cells_per_metre))
+        if column_x < origin[0] or column_y < origin[1]:
+            continue
+        # Points come in runs of one tile.
+        if not _is_within(column_x, column_y, begins[tile], ends[tile]):
+            tile = _last_begun(column_x, column_y, origin, begins)
+        if _is_within(column_x, column_y, begins[tile], ends[tile]):
+            tiles[point] = tile
+
+
+@compiled
+def _is_within(x: np.int64, y: np.int64, begin: Columns, end: Columns) -> bool:
+    return bool(begin[0] <= x < end[0] and begin[1] <= y < end[1])
+
+
+@compiled
+def _last_begun(x: np.int64, y: np.int64, origin: Columns, begins: Columns) -> int:
+    """Return the last tile that does not begin after a column; the first if all do."""
+    low, high = 0, len(begins)
+    while high - low > 1:
+        middle = (low + high) // 2
+        after = morton_before(
+            x - origin[0],
+            y - origin[1],
+            begins[middle, 0] - origin[0],
+            begins[middle, 1] - origin[1],
         )
-    levels, corners, totals = (np.concatenate(part) for part in zip(*leaves, strict=True))
-    order = _morton_order(corners << levels[:, None])
-    return Layout(occupancy.cell, levels[order], corners[order], totals[order])
-
-
-def _morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Order columns along the Z curve, so that tiles near in order are near in place."""
-    shifted = columns - columns.min(axis=0)
-    keys = []
-    for byte in range(0, _TOP_LEVEL + 1, 8):
-        part = (shifted >> byte) & 0xFF
-        keys.append(_spread(part[:, 0]) << 1 | _spread(part[:, 1]))
-    return np.lexsort(keys)
-
-
-def _spread(bits: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Put a zero above each of the lowest eight bits."""
-    bits = (bits | bits << 4) & 0x0F0F
-    bits = (bits | bits << 2) & 0x3333
-    return (bits | bits << 1) & 0x5555
+        if after:
+            high = middle
+        else:
+            low = middle
+    return low

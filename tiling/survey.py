@@ -6,47 +6,15 @@ parts, so that several workers can share the pass.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.base import PointBatch
-
-FINEST_CELL = 0.25
-"""Side of a column of the occupancy lattice, metres, before any coarsening."""
-
-MOST_COLUMNS = 2_000_000
-"""Occupied columns beyond which the lattice is coarsened to cells twice as wide."""
-
-_FARTHEST_CELL = 2.0**40
-
-
-@dataclass(frozen=True, slots=True)
-class Occupancy:
-    """Points in each occupied column of a square lattice anchored at the coordinates' origin.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a column, metres: `FINEST_CELL` times a power of two.
-    columns : (M, 2) int64 array
-        floor(x / cell), floor(y / cell) of the occupied columns, in lexicographic order.
-    counts : (M,) int64 array
-    """
-
-    cell: float
-    columns: NDArray[np.int64]
-    counts: NDArray[np.int64]
-
-    @classmethod
-    def none(cls) -> "Occupancy":
-        """Return the occupancy of no points."""
-        return cls(FINEST_CELL, np.empty((0, 2), np.int64), np.empty(0, np.int64))
-
-    def coarsened(self, cell: float) -> "Occupancy":
-        """Return the same points on wider cells."""
-        steps = round(np.log2(cell / self.cell))
-        return _summed(cell, self.columns >> steps, self.counts)
+from tiling.formats.collection import MapCollection
+from tiling.formats.compiled import compiled
+from tiling.occupancy import ColumnCounter, Occupancy
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,91 +39,91 @@ class Survey:
     maximum: NDArray[np.float64]
     occupancy: Occupancy
 
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the survey as arrays, for a file that hands it from one process to another."""
+        return {
+            "point_counts": np.array([self.point_count, self.finite_count]),
+            "bounds": np.array([self.minimum, self.maximum]),
+            "cell": np.array(self.occupancy.cell),
+            "columns": self.occupancy.columns,
+            "counts": self.occupancy.counts,
+        }
 
-def survey(batches: Iterable[PointBatch]) -> Survey:
-    """Survey a stream of points.
+    @classmethod
+    def from_arrays(
+        cls,
+        point_counts: NDArray[np.int64],
+        bounds: NDArray[np.float64],
+        cell: NDArray[np.float64],
+        columns: NDArray[np.int64],
+        counts: NDArray[np.int64],
+    ) -> "Survey":
+        """Return the survey that `to_arrays` turned into these."""
+        occupancy = Occupancy(float(cell), columns, counts)
+        points, finite = point_counts.tolist()
+        return cls(points, finite, bounds[0], bounds[1], occupancy)
+
+
+def survey(collection: MapCollection, rows: range | None = None) -> Survey:
+    """Survey a map, or some rows of it.
 
     Parameters
     ----------
-    batches : iterable of PointBatch
-        Of the whole map or of a part.
+    collection : MapCollection
+        The map.
+    rows : range, optional
+        Consecutive row numbers; otherwise all.
 
     Returns
     -------
     Survey
+
+    Raises
+    ------
+    RowRangeError
+        When the map has no such rows.
+    MapFormatError
+        When a file is not what its header announced.
     """
-    result = merge_surveys([])
+    return survey_batches(batch for _, batch in collection.batches(rows=rows))
+
+
+def survey_batches(batches: Iterable[PointBatch]) -> Survey:
+    """Survey a stream of points; see `survey`."""
+    points = finite = 0
+    bounds = _no_bounds()
+    counter = ColumnCounter()
     for batch in batches:
-        result = merge_surveys([result, _survey_of(batch.xyz)])
-    return result
+        points += len(batch.xyz)
+        finite += counter.add_points(batch.xyz)
+        _widen(bounds, batch.xyz)
+    return Survey(points, finite, bounds[0], bounds[1], counter.occupancy())
 
 
-def merge_surveys(parts: Iterable[Survey]) -> Survey:
+def merge(parts: Iterable[Survey]) -> Survey:
     """Return the survey of several parts of a map together, in any order."""
     points = finite = 0
-    minimum, maximum = np.full(3, np.inf), np.full(3, -np.inf)
-    occupancies = [Occupancy.none()]
+    bounds = _no_bounds()
+    counter = ColumnCounter()
     for part in parts:
         points += part.point_count
         finite += part.finite_count
-        minimum = np.minimum(minimum, part.minimum)
-        maximum = np.maximum(maximum, part.maximum)
-        occupancies.append(part.occupancy)
-    return Survey(points, finite, minimum, maximum, _merged(occupancies))
+        np.minimum(bounds[0], part.minimum, out=bounds[0])
+        np.maximum(bounds[1], part.maximum, out=bounds[1])
+        counter.add(part.occupancy)
+    return Survey(points, finite, bounds[0], bounds[1], counter.occupancy())
 
 
-def cells_of(xyz: NDArray[np.float64], cell: float) -> NDArray[np.int64]:
-    """Return the lattice column of each point: floor(x / cell), floor(y / cell).
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64 array
-        Finite coordinates, metres.
-    cell : float
-        Side of a column, metres; a power of two, so that the division is exact.
-
-    Returns
-    -------
-    (n, 2) int64 array
-        Columns beyond 2^40 cells from the origin are those at the edge.
-    """
-    columns = np.floor(xyz[:, :2] / cell)
-    return np.clip(columns, -_FARTHEST_CELL, _FARTHEST_CELL).astype(np.int64)
+def _no_bounds() -> NDArray[np.float64]:
+    return np.array([[np.inf] * 3, [-np.inf] * 3])
 
 
-def _survey_of(xyz: NDArray[np.float64]) -> Survey:
-    finite = xyz[np.isfinite(xyz).all(axis=1)]
-    bounds = np.concatenate([finite, [[np.inf] * 3]]).min(axis=0)
-    limits = np.concatenate([finite, [[-np.inf] * 3]]).max(axis=0)
-    columns = cells_of(finite, FINEST_CELL)
-    occupancy = _bounded(_summed(FINEST_CELL, columns, np.ones(len(finite), np.int64)))
-    return Survey(len(xyz), len(finite), bounds, limits, occupancy)
-
-
-def _merged(occupancies: list[Occupancy]) -> Occupancy:
-    """Add up occupancies on the widest of their cells."""
-    cell = max(occupancy.cell for occupancy in occupancies)
-    coarse = [occupancy.coarsened(cell) for occupancy in occupancies]
-    columns = np.concatenate([occupancy.columns for occupancy in coarse])
-    counts = np.concatenate([occupancy.counts for occupancy in coarse])
-    return _bounded(_summed(cell, columns, counts))
-
-
-def _bounded(occupancy: Occupancy) -> Occupancy:
-    """Coarsen until no more columns are occupied than may be.
-
-    A part never needs wider cells than the whole, so merging parts gives what the whole gives.
-    """
-    while len(occupancy.counts) > MOST_COLUMNS:
-        occupancy = occupancy.coarsened(2 * occupancy.cell)
-    return occupancy
-
-
-def _summed(cell: float, columns: NDArray[np.int64], counts: NDArray[np.int64]) -> Occupancy:
-    """Add up the counts of equal columns."""
-    if not len(columns):
-        return Occupancy(cell, np.empty((0, 2), np.int64), np.empty(0, np.int64))
-    order = np.lexsort((columns[:, 1], columns[:, 0]))
-    columns, counts = columns[order], counts[order]
-    first = np.flatnonzero(np.append(True, (columns[1:] != columns[:-1]).any(axis=1)))
-    return Occupancy(cell, columns[first], np.add.reduceat(counts, first))
+@compiled
+def _widen(bounds: NDArray[np.float64], xyz: NDArray[np.float64]) -> None:
+    """Make bounds (minimum, maximum) hold the finite points too."""
+    for point in range(len(xyz)):
+        x, y, z = xyz[point, 0], xyz[point, 1], xyz[point, 2]
+        if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
+            for axis in range(3):
+                bounds[0, axis] = min(bounds[0, axis], xyz[point, axis])
+                bounds[1, axis] = max(bounds[1, axis], xyz[point, axis])
