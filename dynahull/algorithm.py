@@ -24,9 +24,9 @@ LARGEST_COORDINATE = 1e150
 
 def clean(
     points: ArrayLike,
-    parameters: MethodParameters | None = None,
+    parameters: MethodParameters | dict[str, Any] | None = None,
     *,
-    classification: NDArray[np.uint8] | None = None,
+    classification: ArrayLike | None = None,
     threads: int = 1,
     observer: Observer | None = None,
     **sections: Any,
@@ -39,9 +39,9 @@ def clean(
     ----------
     points : (N, 3) array_like
         The map, in metres; NaN and infinite coordinates are allowed and labelled invalid.
-    parameters : MethodParameters, optional
+    parameters : MethodParameters or dict, optional
         All parameters; those of the paper by default.
-    classification : (N,) uint8 array, optional
+    classification : (N,) array_like of int, optional
         ASPRS classes, for `ground.method: las_class`.
     threads : int
         Threads of the density step. The result does not depend on it.
@@ -70,11 +70,12 @@ def clean(
     >>> cleaned = room[result.kept]
     """
     coordinates = checked_points(points)
+    classes = None if classification is None else checked_classes(classification, len(coordinates))
     parameters = _chosen_parameters(parameters, sections)
     observer = observer or SilentObserver()
 
     valid = valid_points(coordinates)
-    ground, above = set_ground_aside(coordinates, valid, parameters, classification, observer)
+    ground, above = set_ground_aside(coordinates, valid, parameters, classes, observer)
     rows = np.flatnonzero(valid & ~ground & ~above)
     clusters = find_clusters(
         coordinates[rows], rows, int(np.count_nonzero(valid)), parameters, observer
@@ -117,6 +118,27 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
     if array.dtype.kind not in "fiu":
         raise InvalidPointsError(f"points: expected real numbers, found dtype {array.dtype}")
     return np.ascontiguousarray(array, np.float64)
+
+
+def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:
+    """Return ASPRS classes as an (N,) uint8 array.
+
+    Raises
+    ------
+    InvalidPointsError
+        When they are anything else.
+    """
+    classes = np.asarray(classification)
+    if classes.shape != (count,):
+        raise InvalidPointsError(
+            f"classification: expected one class for each of {count} points, "
+            f"found shape {classes.shape}"
+        )
+    if count and (classes.dtype.kind not in "iu" or classes.min() < 0 or classes.max() > 255):
+        raise InvalidPointsError(
+            f"classification: expected whole numbers from 0 to 255, found dtype {classes.dtype}"
+        )
+    return classes.astype(np.uint8)
 
 
 def valid_points(points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -186,10 +208,10 @@ def find_clusters(
 
 
 def _chosen_parameters(
-    parameters: MethodParameters | None, sections: dict[str, Any]
+    parameters: MethodParameters | dict[str, Any] | None, sections: dict[str, Any]
 ) -> MethodParameters:
-    if parameters is None:
-        return MethodParameters.of(sections)
+    if parameters is None or isinstance(parameters, dict):
+        return MethodParameters.of((parameters or {}) | sections)
     return MethodParameters.of(dict(parameters) | sections) if sections else parameters
 
 

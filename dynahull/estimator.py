@@ -5,6 +5,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, OutlierMixin
+from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from dynahull.algorithm import clean
@@ -30,7 +31,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
     ground : {"none", "slope", "csf"}, default="none"
         How ground is set aside before the scoring. Arrays given to an estimator are seldom whole
         maps, so it is off unless asked for.
-    random_state : int, default=0
+    random_state : int, RandomState or None, default=0
         Seed of the clustering.
 
     Attributes
@@ -67,7 +68,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         max_percent: float = 20.0,
         threshold: Literal["rank", "stepped"] = "rank",
         ground: Literal["none", "slope", "csf"] = "none",
-        random_state: int = 0,
+        random_state: int | np.random.RandomState | None = 0,
     ) -> None:
         self.k = k
         self.n_clusters = n_clusters
@@ -154,11 +155,16 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
                 )
         return scores
 
+    def _seed(self) -> int:
+        if isinstance(self.random_state, int | np.integer):
+            return int(self.random_state)
+        return int(check_random_state(self.random_state).randint(2**31))
+
     def _parameters(self) -> MethodParameters:
         return MethodParameters.of(
             {
                 "ground": {"method": self.ground},
-                "clustering": {"count": self.n_clusters, "seed": self.random_state},
+                "clustering": {"count": self.n_clusters, "seed": self._seed()},
                 "neighbours": {"k": self.k},
                 "removal": {
                     "min_percent": self.min_percent,

@@ -1,5 +1,7 @@
 """Parameters of the method, one small model a step; the same names in YAML and in Python."""
 
+from collections.abc import Sequence
+from difflib import get_close_matches
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -14,6 +16,7 @@ __all__ = [
     "MethodParameters",
     "NeighbourParameters",
     "RemovalParameters",
+    "validation_message",
 ]
 
 
@@ -109,6 +112,35 @@ class MethodParameters(_Section):
         try:
             return cls.model_validate(sections)
         except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"])
-            raise InvalidParametersError(f"{place}: {first['msg']}") from error
+            raise InvalidParametersError(validation_message(error, cls)) from error
+
+
+def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
+    """Say what is wrong in one line, with the nearest allowed name where a key is unknown.
+
+    Parameters
+    ----------
+    invalid : ValidationError
+        Its first error is told.
+    model : type of BaseModel
+        The model that refused.
+    """
+    error = invalid.errors()[0]
+    place = ".".join(str(part) for part in error["loc"])
+    if error["type"] != "extra_forbidden":
+        message = error["msg"].removeprefix("Value error, ")
+        found = "" if isinstance(error["input"], dict) else f", found {error['input']!r}"
+        return f"{place}: {message[:1].lower()}{message[1:]}{found}"
+    allowed = _allowed_keys(error["loc"][:-1], model)
+    near = get_close_matches(str(error["loc"][-1]), allowed, n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]}? " if near else ""
+    return f"{place}: no such key; {hint}allowed: {', '.join(allowed)}"
+
+
+def _allowed_keys(sections: Sequence[int | str], model: type[BaseModel]) -> list[str]:
+    for section in sections:
+        inner = model.model_fields[str(section)].annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return list(model.model_fields)

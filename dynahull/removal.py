@@ -2,7 +2,7 @@
 
 `rank` takes exactly the share that Eq. 1 gives. `stepped` is the paper's wording of Algorithm 1:
 from zero, the threshold rises by a step set by the spread of the densities until the share is
-reached, so it may take more than the share, never less.
+reached, so it may take more than the share; less only where all densities are equal.
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,11 @@
 """The command line. Heavy imports live inside the commands, so that `--help` answers at once."""
 
 import logging
+import os
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, NoReturn, TextIO
 
 import typer
 
@@ -26,6 +27,23 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+class StandardErrorHandler(logging.StreamHandler[TextIO]):
+    """Logs to what standard error is now: a progress bar puts itself in its place meanwhile."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> TextIO:
+        """Standard error."""
+        return sys.stderr
+
+    @stream.setter
+    def stream(self, stream: TextIO) -> None:
+        raise AttributeError("the stream is standard error, whatever that is")
+
+
 Maps = Annotated[
     list[str],
     typer.Argument(
@@ -36,7 +54,7 @@ Maps = Annotated[
     ),
 ]
 Output = Annotated[
-    Path | None,
+    str | None,
     typer.Option("-o", "--output", metavar="DIR", help="Output folder. [default: <map>_dynahull]"),
 ]
 ConfigurationSource = Annotated[
@@ -85,13 +103,16 @@ def run_command(
 ) -> None:
     """Clean a map: write it without its ghosts, and the ghosts beside it."""
     from pipeline.configuration import load_configuration  # noqa: PLC0415
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.run import run  # noqa: PLC0415
 
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
+    if output == "":
+        raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
     with watching() as observer:
-        report = run(maps, output, configuration, observer)
+        report = run(maps, Path(output) if output else None, configuration, observer)
     typer.echo(report.summary())
 
 
@@ -138,11 +159,18 @@ def keys_command() -> None:
 
 def main() -> NoReturn:
     """Run the command line, and turn every error that is expected into one line."""
+    if sys.stderr is None:  # closed by the caller
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
     logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr
+        level=logging.INFO,
+        format="%(asctime)s %(levelname)s %(message)s",
+        handlers=[StandardErrorHandler()],
     )
-    # A scheduler stops a job with SIGTERM: leave through the same door as Ctrl-C, tidily.
+    # A scheduler stops a job with SIGTERM, a lost terminal with SIGHUP: leave through the same door
+    # as Ctrl-C, tidily.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
     try:
         app()
     except SystemExit as ended:

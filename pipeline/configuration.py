@@ -1,16 +1,18 @@
 """The configuration of a run: one YAML file, small models, unknown keys refused."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic.fields import FieldInfo
 
-from dynahull.parameters import MethodParameters
+from dynahull.parameters import MethodParameters, validation_message
 from pipeline.errors import ConfigurationError
+
+_NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
+"""What PyYAML raises: ValueError for a date like 2024-13-45, RecursionError for deep brackets."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -20,9 +22,29 @@ class ExecutionParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    workers: int | Literal["auto"] = Field(
+    cluster: Literal["local"] = Field("local", description="Where the work is done: here.")
+    scheduler: None = Field(None, description="Address of a cluster's scheduler; none yet.")
+    workers: Annotated[int, Field(ge=1, strict=True)] | Literal["auto"] = Field(
         "auto", description="Threads of the density step; `auto`: one for each available core."
     )
+    memory: Literal["auto"] = Field(
+        "auto", description="Memory of a worker; as much as the map needs, some 150 bytes a point."
+    )
+
+
+_ONE_PIECE = "Not in use yet: a map is cleaned as one piece, and the result is the same."
+
+
+class TilingParameters(BaseModel):
+    """How a map is cut; the result does not depend on it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    max_points: int = Field(1_000_000, ge=1, description=f"Points of a tile. {_ONE_PIECE}")
+    halo: Annotated[float, Field(ge=0)] | Literal["auto"] = Field(
+        "auto", description=f"Overlap of tiles, metres. {_ONE_PIECE}"
+    )
+    format: Literal["parquet"] = Field("parquet", description=f"Of the chunks. {_ONE_PIECE}")
 
 
 class OutputParameters(BaseModel):
@@ -30,6 +52,10 @@ class OutputParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    mode: Literal["split"] = Field(
+        "split", description="`split`: what stays and what goes, in a file each."
+    )
+    keep_work: bool = Field(False, description=f"Keep intermediate files. {_ONE_PIECE}")
     labels: bool = Field(
         False, description="Write labels.parquet: label, cluster and density of every point."
     )
@@ -38,6 +64,7 @@ class OutputParameters(BaseModel):
 class Configuration(MethodParameters):
     """Everything a run can be told: the sections of the method, and those of the product."""
 
+    tiling: TilingParameters = TilingParameters()
     execution: ExecutionParameters = ExecutionParameters()
     output: OutputParameters = OutputParameters()
 
@@ -84,14 +111,25 @@ def load_configuration(source: str | None, settings: Sequence[str] = ()) -> Conf
 
 def load_parameters(model: type[Model], source: str | None, settings: Sequence[str] = ()) -> Model:
     """Read any model as `load_configuration` reads the configuration of a run."""
+    if source == "":
+        raise ConfigurationError("-c: expected a file or a name, found nothing")
     values = _read_yaml(_configuration_path(source)) if source else {}
     for setting in settings:
         _apply(setting, values)
+    # A section whose keys are all commented out is one with its defaults.
+    sections = {name for name, field in model.model_fields.items() if _is_section(field)}
+    values = {
+        name: value for name, value in values.items() if value is not None or name not in sections
+    }
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        problem = _plain(error.errors()[0], model)
+        problem = validation_message(error, model)
         raise ConfigurationError(f"{source or 'configuration'}: {problem}") from None
+
+
+def _is_section(field: FieldInfo) -> bool:
+    return isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
 
 
 def _configuration_path(source: str) -> Path:
@@ -113,7 +151,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: expected a YAML file, found {error}") from None
-    except yaml.YAMLError as error:
+    except _NOT_YAML as error:
         mark = getattr(error, "problem_mark", None)
         place = f" at line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "something else"
@@ -132,7 +170,7 @@ def _apply(setting: str, values: dict[str, Any]) -> None:
         raise ConfigurationError(f"--set {setting}: expected section.key=value")
     try:
         value = yaml.safe_load(text)
-    except yaml.YAMLError:
+    except _NOT_YAML:
         raise ConfigurationError(
             f"--set {setting}: expected a YAML value, found {text!r}"
         ) from None
@@ -143,25 +181,3 @@ def _apply(setting: str, values: dict[str, Any]) -> None:
             raise ConfigurationError(f"--set {setting}: {section} is a value, not a section")
         values = inner
     values[name] = value
-
-
-def _plain(error: ErrorDetails, model: type[BaseModel]) -> str:
-    """Say a validation error in one line, with the nearest allowed name where a key is unknown."""
-    place = ".".join(str(part) for part in error["loc"])
-    if error["type"] != "extra_forbidden":
-        message = error["msg"].removeprefix("Value error, ")
-        found = "" if isinstance(error["input"], dict) else f", found {error['input']!r}"
-        return f"{place}: {message[:1].lower()}{message[1:]}{found}"
-    allowed = _allowed_keys(error["loc"][:-1], model)
-    near = get_close_matches(str(error["loc"][-1]), allowed, n=1, cutoff=0.4)
-    hint = f"did you mean {near[0]}? " if near else ""
-    return f"{place}: no such key; {hint}allowed: {', '.join(allowed)}"
-
-
-def _allowed_keys(sections: Sequence[int | str], model: type[BaseModel]) -> list[str]:
-    for section in sections:
-        inner = model.model_fields[str(section)].annotation
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            return []
-        model = inner
-    return list(model.model_fields)

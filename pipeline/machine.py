@@ -8,7 +8,7 @@ from typing import Literal
 
 def available_cores(wanted: int | Literal["auto"]) -> int:
     """Return the number of workers: as asked for, or one for each core this process may use."""
-    return len(os.sched_getaffinity(0)) if wanted == "auto" else max(1, wanted)
+    return len(os.sched_getaffinity(0)) if wanted == "auto" else wanted
 
 
 def peak_memory() -> int:

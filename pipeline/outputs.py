@@ -20,8 +20,6 @@ RUN_FILE = "run.json"
 CONFIGURATION_FILE = "config.yaml"
 LABELS_FILE = "labels.parquet"
 _STAGING = ".dynahull-partial"
-_RESULT_FOLDERS = ("static", "dynamic")
-_LABELS = Path(LABELS_FILE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,34 +41,41 @@ class OutputNames:
         if len(readers) == 1:
             suffix = readers[0].description.suffix
             return cls((Path(f"static{suffix}"),), (Path(f"dynamic{suffix}"),))
-        own = _own_names([reader.description.path for reader in readers])
-        names = [
-            name.with_name(_stem(name) + reader.description.suffix)
-            for name, reader in zip(own, readers, strict=True)
-        ]
+        paths = [reader.description.path for reader in readers]
+        suffixes = [reader.description.suffix for reader in readers]
+        names = _distinct_names(paths, suffixes)
         return cls(
             tuple(Path("static") / name for name in names),
             tuple(Path("dynamic") / name for name in names),
         )
 
+    def all_files(self, labels: bool) -> tuple[Path, ...]:
+        """Return every file of the run, `run.json` last."""
+        tables = (Path(LABELS_FILE),) if labels else ()
+        return (*self.static, *self.dynamic, *tables, Path(CONFIGURATION_FILE), Path(RUN_FILE))
+
 
 def default_folder(paths: Sequence[Path]) -> Path:
     """Return `<map>_dynahull`, named after the only file, or after the folder of several."""
-    first = paths[0].resolve()
+    first = paths[0].absolute()
     name = _stem(first) if len(paths) == 1 else first.parent.name
     return Path(f"{name}_dynahull")
 
 
 @contextmanager
-def output_folder(folder: Path, inputs: Sequence[Path]) -> Iterator[Path]:
+def output_folder(
+    folder: Path, results: Sequence[Path], inputs: Sequence[Path] = ()
+) -> Iterator[Path]:
     """Claim an output folder, and publish what was written when the block ends without an error.
 
     Parameters
     ----------
     folder : Path
-        Made if it is not there; earlier results in it are replaced.
+        Made if it is not there; results of an earlier run in it are replaced.
+    results : sequence of Path
+        The files that will be written, by their names in the folder.
     inputs : sequence of Path
-        The map files, none of which may lie where results go.
+        The map files, none of which is ever replaced.
 
     Yields
     ------
@@ -80,9 +85,10 @@ def output_folder(folder: Path, inputs: Sequence[Path]) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        When the folder cannot be made or written, holds an input, or another run works in it.
+        When the folder cannot be made or written, when another run works in it, or when a file is
+        in the place of a result that no earlier run wrote.
     """
-    _refuse_inputs_among_results(folder, inputs)
+    _refuse_to_replace(folder, results, inputs)
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -103,16 +109,18 @@ def output_folder(folder: Path, inputs: Sequence[Path]) -> Iterator[Path]:
                 path.rmdir()
 
 
-def _refuse_inputs_among_results(folder: Path, inputs: Sequence[Path]) -> None:
-    """Refuse, before any work, an output folder in which a result would replace an input."""
-    place = folder.resolve()
-    for path in inputs:
-        resolved = path.resolve()
-        if not resolved.is_relative_to(place):
-            continue
-        name = resolved.relative_to(place)
-        if name.parts[0] in _RESULT_FOLDERS or name.stem in _RESULT_FOLDERS or name == _LABELS:
-            raise OutputError(f"{path}: this input lies where results go; choose another -o")
+def _refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[Path]) -> None:
+    """Refuse, before any work, to replace an input or a file that no run wrote."""
+    taken = {path.resolve() for path in inputs}
+    # What a run that was killed left half published is known by its staging folder.
+    interrupted = (folder / _STAGING).is_dir()
+    earlier = set(_earlier_results(folder))
+    for name in results:
+        place = folder / name
+        if place.resolve() in taken:
+            raise OutputError(f"{place}: this input lies where a result goes; choose another -o")
+        if os.path.lexists(place) and not interrupted and name not in earlier:
+            raise OutputError(f"{place}: there is a file that no run wrote; choose another -o")
 
 
 @contextmanager
@@ -145,14 +153,21 @@ def _publish(staging: Path, folder: Path) -> None:
         _flush(name)
 
 
-def _remove_earlier_results(folder: Path) -> None:
-    """Remove what the last complete run left here, by its own account."""
+def _earlier_results(folder: Path) -> list[Path]:
+    """Return the names of what the last complete run left here, by its own account."""
     try:
-        outputs = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))["outputs"]
-        names = [Path(name) for name in outputs if ".." not in Path(name).parts]
-    except (OSError, ValueError, KeyError, TypeError):
-        return
-    names = [name for name in names if not name.is_absolute()]
+        report = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+        if not {"version", "input_hash", "outputs"} <= report.keys():
+            return []
+        names = [Path(name) for name in report["outputs"]]
+    except (OSError, ValueError, AttributeError, TypeError):
+        return []
+    return [name for name in names if not name.is_absolute() and ".." not in name.parts]
+
+
+def _remove_earlier_results(folder: Path) -> None:
+    """Remove what the last complete run left here, and no other file."""
+    names = _earlier_results(folder)
     for name in names:
         if (folder / name).is_file():
             (folder / name).unlink()
@@ -169,13 +184,26 @@ def _flush(path: Path) -> None:
         os.close(handle)
 
 
-def _own_names(paths: Sequence[Path]) -> list[Path]:
-    """Return the files' own names, with as many of their folders as make them different."""
-    resolved = [path.resolve() for path in paths]
-    if len({path.name for path in resolved}) == len(resolved):
-        return [Path(path.name) for path in resolved]
-    common = Path(os.path.commonpath([path.parent for path in resolved]))
-    return [path.relative_to(common) for path in resolved]
+def _distinct_names(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
+    """Return names for files written like some others: their own, as far as they differ.
+
+    Where names are equal, the files' folders are put before them; where only the suffix of the
+    output makes them so (`a.copc.laz` and `a.laz`), all keep their whole names.
+    """
+    own = [Path(path.name) for path in paths]
+    if len(set(own)) < len(own):
+        absolute = [path.absolute() for path in paths]
+        common = Path(os.path.commonpath([path.parent for path in absolute]))
+        own = [path.relative_to(common) for path in absolute]
+    names = [
+        name.with_name(_stem(name) + suffix) for name, suffix in zip(own, suffixes, strict=True)
+    ]
+    if len(set(names)) == len(names):
+        return names
+    return [
+        name if name.suffix.lower() == suffix else name.with_name(name.name + suffix)
+        for name, suffix in zip(own, suffixes, strict=True)
+    ]
 
 
 def _stem(path: Path) -> str:

@@ -12,7 +12,7 @@ from dynahull import CleaningResult
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
 from pipeline.machine import peak_memory
-from pipeline.outputs import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE, OutputNames
+from pipeline.outputs import LABELS_FILE, RUN_FILE, OutputNames
 from pipeline.progress import StageObserver
 from tiling.formats.collection import MapCollection
 
@@ -111,14 +111,11 @@ class RunReport(BaseModel):
         observer: StageObserver,
     ) -> "RunReport":
         """Gather the report of a finished run."""
-        outputs = [str(name) for name in (*names.static, *names.dynamic)]
-        outputs += [LABELS_FILE] if configuration.output.labels else []
-        outputs += [CONFIGURATION_FILE, RUN_FILE]
         return cls(
             version=version("dynahull-pipeline"),
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
             output=str(folder),
-            outputs=outputs,
+            outputs=[str(name) for name in names.all_files(configuration.output.labels)],
             input_hash=input_hash,
             files=_input_files(collection, names),
             points=collection.point_count,

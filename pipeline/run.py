@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dynahull import CleaningResult, Label, clean
 from dynahull.errors import MissingClassificationError
 from pipeline.configuration import Configuration
-from pipeline.errors import InputChangedError, LostPointsError
+from pipeline.errors import InputChangedError, LostPointsError, OutputError
 from pipeline.machine import available_cores
 from pipeline.outputs import (
     CONFIGURATION_FILE,
@@ -65,13 +65,17 @@ def run(
     paths = find_map_files(maps)
     collection = MapCollection(paths)
     folder = output or default_folder(paths)
+    if any(Path(each).is_dir() and Path(each).resolve() == folder.resolve() for each in maps):
+        raise OutputError(f"{folder}: this folder is the input; choose another -o")
     if configuration.ground.method == "las_class" and not collection.has_classification:
         raise MissingClassificationError(
             f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
         )
     for note in _notes(collection):
         observer.warn(note)
-    with output_folder(folder, paths) as staging:
+    names = OutputNames.of(collection.readers)
+    results = names.all_files(configuration.output.labels)
+    with output_folder(folder, results, paths) as staging:
         before = _states(paths)
         points, classification = read_points(collection, observer)
         result = clean(
@@ -82,7 +86,6 @@ def run(
             observer=observer,
         )
         del points
-        names = OutputNames.of(collection.readers)
         write_maps(collection, result, names, staging, observer)
         if configuration.output.labels:
             write_labels(result, staging / LABELS_FILE)
@@ -140,6 +143,8 @@ def write_maps(
     for index, reader in enumerate(collection.readers):
         kept_here = kept[first_rows[index] : first_rows[index + 1]]
         static, dynamic = folder / names.static[index], folder / names.dynamic[index]
+        if static.exists() or dynamic.exists():
+            raise LostPointsError(f"{static.name}: two files of the map would be written here")
         static.parent.mkdir(parents=True, exist_ok=True)
         dynamic.parent.mkdir(parents=True, exist_ok=True)
         staying = int(np.count_nonzero(kept_here))

@@ -7,11 +7,14 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from dynahull.errors import MissingDependencyError
+from dynahull.errors import InvalidPointsError, MissingDependencyError
 from dynahull.ground.lattice import Booleans, Floats
 from dynahull.ground.parameters import ClothParameters
 
 __all__ = ["cloth_ground"]
+
+_MOST_PARTICLES = 5e7
+"""Of the cloth; each takes some hundred bytes."""
 
 
 def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
@@ -39,6 +42,7 @@ def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
     mask = np.zeros(len(points), np.bool_)
     if len(points) == 0:
         return mask
+    _check_size(points, p.cloth_resolution)
     with _quiet_output():
         filter_ = CSF.CSF()
         filter_.params.bSloopSmooth = p.slope_smooth
@@ -53,6 +57,17 @@ def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
         filter_.do_filtering(ground, others, False)
     mask[np.fromiter(ground, np.int64, len(ground))] = True
     return mask
+
+
+def _check_size(points: Floats, resolution: float) -> None:
+    """Refuse a cloth so large that the package would end the process."""
+    particles = np.prod(np.ptp(points[:, :2], axis=0) / resolution + 1)
+    if not particles <= _MOST_PARTICLES:
+        raise InvalidPointsError(
+            f"ground.method: csf lays one cloth over the whole map: {particles:.3g} particles at "
+            f"ground.csf.cloth_resolution {resolution:g} m, and {_MOST_PARTICLES:.3g} is the most; "
+            "a stray point far away is enough"
+        )
 
 
 @contextmanager

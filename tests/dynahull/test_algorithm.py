@@ -234,11 +234,25 @@ def test_parameters_may_be_given_whole_or_by_section():
     sections = clean(points, ground=NO_GROUND, neighbours={"k": 20})
     mixed = clean(points, parameters, neighbours={"k": 30})
     np.testing.assert_array_equal(whole.density, sections.density)
+    np.testing.assert_array_equal(
+        clean(points, {"ground": NO_GROUND, "neighbours": {"k": 20}}).density, whole.density
+    )
     assert not np.array_equal(whole.density, mixed.density)
 
 
+@pytest.mark.parametrize("classes", [[2] * 3, [2.0] * 5, [[2] * 5], [300] * 5, [-1] * 5])
+def test_classes_that_are_none_are_refused(classes):
+    with pytest.raises(InvalidPointsError, match="classification: expected"):
+        clean(np.zeros((5, 3)), ground={"method": "las_class"}, classification=classes)
+
+
+def test_classes_may_be_a_list():
+    result = clean(room(20), ground={"method": "las_class"}, classification=[2] * 31)
+    assert (result.labels == Label.GROUND).all()
+
+
 def test_an_unknown_section_is_refused():
-    with pytest.raises(InvalidParametersError, match="neighbors"):
+    with pytest.raises(InvalidParametersError, match="did you mean neighbours"):
         clean(room(100), neighbors={"k": 20})
     with pytest.raises(InvalidParametersError, match="min_percent"):
         clean(room(100), removal={"min_percent": 30, "max_percent": 20})

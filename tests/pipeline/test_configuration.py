@@ -94,6 +94,42 @@ def test_mistakes_in_a_setting_are_one_line(setting, message):
         load_configuration(None, ["max_height=2", setting])
 
 
+DESIGN = """
+ground:      {method: slope}
+max_height:  null
+clustering:  {count: 5, scope: map, seed: 0}
+neighbours:  {k: 75}
+density:     {device: cpu}
+removal:     {min_percent: 5, max_percent: 20, threshold: rank}
+tiling:      {max_points: 1000000, halo: auto, format: parquet}
+execution:   {cluster: local, scheduler: null, workers: auto, memory: auto}
+output:      {mode: split, labels: false, keep_work: false}
+"""
+
+
+def test_all_sections_and_keys_of_the_design_are_known(tmp_path):
+    assert load_configuration(write(tmp_path, DESIGN)) == load_configuration(None)
+
+
+def test_a_section_without_keys_has_its_defaults(tmp_path):
+    source = write(tmp_path, "neighbours:\n  # k: 50\nmax_height: null\n")
+    assert load_configuration(source) == load_configuration(None)
+
+
+@pytest.mark.parametrize(
+    "setting", ["neighbours.k=2024-13-45", "neighbours.k=0x_", "neighbours.k=" + "[" * 3000,
+                "execution.workers=0", "execution.workers=true"]
+)  # fmt: skip
+def test_values_that_yaml_or_the_model_chokes_on_are_one_line(setting):
+    with pytest.raises(ConfigurationError):
+        load_configuration(None, [setting])
+
+
+def test_an_empty_name_is_no_configuration():
+    with pytest.raises(ConfigurationError, match="found nothing"):
+        load_configuration("")
+
+
 def test_a_missing_file_names_the_ready_configurations():
     with pytest.raises(ConfigurationError, match=r"nowhere.yaml: .* \(indoor, outdoor, paper\)"):
         load_configuration("nowhere.yaml")

@@ -10,10 +10,14 @@ from pipeline.errors import OutputError
 from pipeline.outputs import OutputNames, default_folder, output_folder
 from tiling.formats import open_map
 
+RESULTS = [Path("static.pcd"), Path("dynamic.pcd"), Path("run.json")]
 
-def write_results(staging, text="new"):
-    for name in ("static.pcd", "dynamic.pcd", "run.json"):
+
+def write_results(staging, text="new", outputs=("static.pcd", "dynamic.pcd", "run.json")):
+    for name in ("static.pcd", "dynamic.pcd"):
         (staging / name).write_text(text, encoding="utf-8")
+    report = {"version": "1", "input_hash": "0", "outputs": outputs}
+    (staging / "run.json").write_text(json.dumps(report), encoding="utf-8")
 
 
 def listing(folder):
@@ -22,7 +26,7 @@ def listing(folder):
 
 def test_everything_appears_at_the_end(tmp_path):
     folder = tmp_path / "deep" / "out"
-    with output_folder(folder, []) as staging:
+    with output_folder(folder, RESULTS) as staging:
         write_results(staging)
         (staging / "static").mkdir()
         (staging / "static" / "a.pcd").write_text("a", encoding="utf-8")
@@ -32,7 +36,7 @@ def test_everything_appears_at_the_end(tmp_path):
 
 def test_nothing_appears_after_an_error_and_a_new_folder_goes_again(tmp_path):
     folder = tmp_path / "deep" / "out"
-    with pytest.raises(RuntimeError), output_folder(folder, []) as staging:
+    with pytest.raises(RuntimeError), output_folder(folder, RESULTS) as staging:
         write_results(staging)
         raise RuntimeError
     assert listing(tmp_path) == []
@@ -40,38 +44,40 @@ def test_nothing_appears_after_an_error_and_a_new_folder_goes_again(tmp_path):
 
 def test_earlier_results_survive_an_error_and_are_replaced_by_success(tmp_path):
     folder = tmp_path / "out"
-    with output_folder(folder, []) as staging:
+    with output_folder(folder, RESULTS) as staging:
         write_results(staging, "old")
     (folder / "my notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(RuntimeError), output_folder(folder, []) as staging:
+    with pytest.raises(RuntimeError), output_folder(folder, RESULTS) as staging:
         write_results(staging)
         raise RuntimeError
     assert (folder / "static.pcd").read_text(encoding="utf-8") == "old"
-    with output_folder(folder, []) as staging:
+    with output_folder(folder, RESULTS) as staging:
         write_results(staging)
     assert (folder / "static.pcd").read_text(encoding="utf-8") == "new"
     assert listing(folder) == ["dynamic.pcd", "my notes.txt", "run.json", "static.pcd"]
 
 
 def test_results_of_an_earlier_run_do_not_linger_beside_new_ones(tmp_path):
-    with output_folder(tmp_path, []) as staging:
+    with output_folder(tmp_path, RESULTS) as staging:
         (staging / "labels.parquet").write_text("old", encoding="utf-8")
         (staging / "static").mkdir()
         (staging / "static" / "a.pcd").write_text("old", encoding="utf-8")
-        outputs = {"outputs": ["labels.parquet", "static/a.pcd", "run.json"]}
-        (staging / "run.json").write_text(json.dumps(outputs), encoding="utf-8")
-    with output_folder(tmp_path, []) as staging:
+        write_results(staging, "old", ["labels.parquet", "static/a.pcd", "run.json"])
+        (staging / "static.pcd").unlink()
+        (staging / "dynamic.pcd").unlink()
+    with output_folder(tmp_path, RESULTS) as staging:
         write_results(staging)
     assert listing(tmp_path) == ["dynamic.pcd", "run.json", "static.pcd"]
 
 
 def test_what_a_killed_run_left_is_cleared(tmp_path):
-    with pytest.raises(RuntimeError), output_folder(tmp_path, []) as staging:
+    with pytest.raises(RuntimeError), output_folder(tmp_path, RESULTS) as staging:
         left = staging
         raise RuntimeError
     left.mkdir()
     (left / "static.pcd").write_text("half", encoding="utf-8")
-    with output_folder(tmp_path, []) as staging:
+    (tmp_path / "dynamic.pcd").write_text("published before the kill", encoding="utf-8")
+    with output_folder(tmp_path, RESULTS) as staging:
         assert listing(staging) == []
         write_results(staging)
     assert listing(tmp_path) == ["dynamic.pcd", "run.json", "static.pcd"]
@@ -79,39 +85,52 @@ def test_what_a_killed_run_left_is_cleared(tmp_path):
 
 def test_a_second_run_into_the_same_folder_is_refused(tmp_path):
     with (
-        output_folder(tmp_path, []),
+        output_folder(tmp_path, RESULTS),
         pytest.raises(OutputError, match="another run"),
-        output_folder(tmp_path, []),
+        output_folder(tmp_path, RESULTS),
     ):
         pass
-    with output_folder(tmp_path, []):
+    with output_folder(tmp_path, RESULTS):
         pass
 
 
-@pytest.mark.parametrize("name", ["static.pcd", "static/a.pcd", "dynamic.las", "labels.parquet"])
-def test_an_input_where_results_go_is_refused_before_any_work(name, tmp_path):
-    original = tmp_path / name
-    original.parent.mkdir(exist_ok=True)
+def test_an_input_where_a_result_goes_is_refused_before_any_work(tmp_path):
+    original = tmp_path / "static.pcd"
     original.write_text("input", encoding="utf-8")
     with (
-        pytest.raises(OutputError, match="this input lies where results go"),
-        output_folder(tmp_path, [original]),
+        pytest.raises(OutputError, match="this input lies where a result goes"),
+        output_folder(tmp_path, RESULTS, [original]),
     ):
         pytest.fail("the work began")
     assert original.read_text(encoding="utf-8") == "input"
 
 
+@pytest.mark.parametrize("report", [None, "[]", '{"outputs": ["static.pcd"]}'])
+def test_a_file_that_no_run_wrote_is_never_replaced_nor_removed(report, tmp_path):
+    (tmp_path / "static.pcd").write_text("mine", encoding="utf-8")
+    if report is not None:
+        (tmp_path / "run.json").write_text(report, encoding="utf-8")
+    before = listing(tmp_path)
+    with (
+        pytest.raises(OutputError, match="there is a file that no run wrote"),
+        output_folder(tmp_path, RESULTS),
+    ):
+        pytest.fail("the work began")
+    assert listing(tmp_path) == before
+    assert (tmp_path / "static.pcd").read_text(encoding="utf-8") == "mine"
+
+
 def test_an_input_elsewhere_in_the_output_folder_is_fine(tmp_path):
     original = tmp_path / "map.pcd"
     original.write_text("input", encoding="utf-8")
-    with output_folder(tmp_path, [original]) as staging:
+    with output_folder(tmp_path, RESULTS, [original]) as staging:
         write_results(staging)
     assert listing(tmp_path) == ["dynamic.pcd", "map.pcd", "run.json", "static.pcd"]
 
 
 def test_a_file_in_the_folder_s_place_is_refused(tmp_path):
     (tmp_path / "out").write_text("a file", encoding="utf-8")
-    with pytest.raises(OutputError, match="out: "), output_folder(tmp_path / "out", []):
+    with pytest.raises(OutputError, match="out: "), output_folder(tmp_path / "out", RESULTS):
         pass
 
 
@@ -132,6 +151,14 @@ def test_names_of_one_and_of_several_files(maps):
     assert names(maps[0]) == ["static.npy", "dynamic.npy"]
     assert names(*maps[:2]) == ["static/1.npy", "static/2.npy", "dynamic/1.npy", "dynamic/2.npy"]
     assert names(maps[0], maps[2])[:2] == ["static/a/1.npy", "static/b/1.npy"]
+
+
+def test_names_that_only_their_suffix_made_different_stay_different(tmp_path):
+    for name in ("a.npy", "a.NPY"):
+        with (tmp_path / name).open("wb") as stream:
+            np.save(stream, np.zeros((1, 3)))
+    chosen = OutputNames.of([open_map(tmp_path / name) for name in ("a.npy", "a.NPY")])
+    assert len(set(chosen.static)) == 2
 
 
 @pytest.mark.parametrize(

@@ -163,7 +163,7 @@ def test_lost_points_stop_the_run(map_file, tmp_path, monkeypatch):
 
 def test_results_cannot_replace_their_input(map_file, tmp_path):
     cleaned([map_file], tmp_path / "out")
-    with pytest.raises(OutputError, match="this input lies where results go"):
+    with pytest.raises(OutputError, match="this input lies where a result goes"):
         cleaned([tmp_path / "out" / "static.npy"], tmp_path / "out")
 
 

@@ -3,6 +3,7 @@
 `open_map` picks the one that knows the file's suffix.
 """
 
+import os
 from importlib import import_module
 from pathlib import Path
 
@@ -57,10 +58,15 @@ def open_map(path: Path) -> MapReader:
     if path.suffix.lower() not in _READERS:
         known = ", ".join(MAP_SUFFIXES)
         raise UnknownFormatError(path, f"a map ({known})", f"suffix {path.suffix or 'none'!r}")
-    if not path.exists():
+    if not os.path.lexists(path):
         raise MapFormatError(path, "a map file", "no such file")
+    if not path.exists():
+        raise MapFormatError(path, "a map file", "a link to nothing")
     if not path.is_file():
         raise MapFormatError(path, "a map file", "something that is not a file")
     module, name = _READERS[path.suffix.lower()]
     reader: type[MapReader] = getattr(import_module(module), name)
-    return reader(path)  # type: ignore[call-arg]
+    try:
+        return reader(path)  # type: ignore[call-arg]
+    except OSError as error:
+        raise MapFormatError(path, "a file that can be read", error.strerror or "none") from error

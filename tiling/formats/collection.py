@@ -183,6 +183,8 @@ class MapCollection:
 
 def _files_of(argument: Path | str) -> list[Path]:
     """Return the maps that one argument names, in order."""
+    if str(argument) == "":
+        raise NoMapError("an empty name", "no file or folder")
     path = Path(argument)
     if path.is_dir():
         candidates = list(path.iterdir())
