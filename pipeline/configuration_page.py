@@ -3,7 +3,7 @@
 dynahull-pipeline keys > docs/configuration.md
 """
 
-from typing import Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel
@@ -19,6 +19,14 @@ A single key is set with `--set section.key=value`. Keys that do not exist are r
 nearest that does. `config.yaml` beside every result holds all keys as they were used, and given
 back with `-c` repeats the run. This page is what `dynahull-pipeline keys` prints.
 """
+
+
+_WORDS: dict[Any, str] = {
+    int: "whole number",
+    float: "number",
+    bool: "true, false",
+    type(None): "null",
+}
 
 
 def configuration_page() -> str:
@@ -52,15 +60,16 @@ def _allowed(field: FieldInfo) -> str:
     options = get_args(field.annotation) or (field.annotation,)
     if get_origin(field.annotation) is Literal:
         return ", ".join(f"`{option}`" for option in options)
-    words = {int: "whole number", float: "number", bool: "true, false", type(None): "null"}
-    kinds = [
-        words.get(option) or ", ".join(f"`{choice}`" for choice in get_args(option))
-        for option in options
-    ]
-    bounds = [
+    kinds, bounds = [], list(field.metadata)
+    for option in options:
+        if get_origin(option) is Annotated:
+            option, constraint = get_args(option)  # noqa: PLW2901 (the type within)
+            bounds += constraint.metadata
+        kinds.append(_WORDS.get(option) or ", ".join(f"`{choice}`" for choice in get_args(option)))
+    limits = [
         f"{sign} {getattr(bound, name):g}"
-        for bound in field.metadata
+        for bound in bounds
         for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
         if hasattr(bound, name)
     ]
-    return ", ".join([*kinds, *bounds])
+    return ", ".join([*kinds, *limits])

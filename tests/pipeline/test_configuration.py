@@ -140,7 +140,7 @@ def test_the_page_in_the_documentation_is_up_to_date():
     assert page == configuration_page(), "dynahull-pipeline keys > docs/configuration.md"
     assert "| `neighbours.k` | 75 | whole number, >= 4, <= 1000 |" in page
     assert "| `max_height` | null | number, null, > 0 |" in page
-    assert "| `execution.workers` | auto | whole number, `auto` |" in page
+    assert "| `execution.workers` | auto | whole number, `auto`, >= 1 |" in page
 
 
 def test_every_key_is_documented():
