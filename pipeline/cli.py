@@ -128,6 +128,16 @@ def info_command(
     typer.echo(info.model_dump_json(indent=2) if as_json else info.to_text())
 
 
+@app.command("view")
+def view_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+) -> None:
+    """Open the result of a run in a window, what was removed in red (needs the extra `open3d`)."""
+    from pipeline.view import view_result  # noqa: PLC0415
+
+    view_result(folder)
+
+
 @app.command("simulate")
 def simulate_command(
     output: Annotated[

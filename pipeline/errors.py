@@ -17,5 +17,9 @@ class InputChangedError(PipelineError):
     """A map file changed while it was being cleaned."""
 
 
+class MissingViewerError(PipelineError):
+    """`view` was asked for, and the optional package that draws is not installed."""
+
+
 class LostPointsError(PipelineError):
     """The outputs together do not hold the points of the input: nothing is published."""
