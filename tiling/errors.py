@@ -1,6 +1,11 @@
 """The errors of maps on disk: one base class, flat subclasses, messages of one line."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class TilingError(Exception):
@@ -77,3 +82,27 @@ class NoMapError(TilingError):
         self.found = found
         message = f"{argument}: expected a map, a folder of maps or a pattern, found {found}"
         super().__init__("".join(c if c.isprintable() else "?" for c in message))
+
+
+class ChunkError(MapFormatError):
+    """A piece or a chunk of a map that was cut is missing, not whole, or another map's."""
+
+
+class GridError(TilingError):
+    """Coordinates are on no grid that LAS can keep: they would not come back as they are.
+
+    Parameters
+    ----------
+    name : str
+        What the map is called.
+    xyz : (3,) array
+        A point that no grid gives back.
+    """
+
+    def __init__(self, name: str, xyz: "NDArray[np.float64]") -> None:
+        self.xyz = xyz
+        point = ", ".join(repr(value) for value in xyz.tolist())
+        super().__init__(
+            f"{name}: expected coordinates that LAS gives back as integer * scale + offset, found "
+            f"a point that it does not ({point}); use Parquet chunks instead"
+        )

@@ -9,6 +9,7 @@ map of few points is one tile, wherever it lies.
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class Tile:
     point_count: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Layout:
     """The tiles of a map, in Morton order: near in order is near in place.
 
@@ -72,7 +73,6 @@ class Layout:
 
     def __getitem__(self, index: int) -> Tile:
         """Return a tile."""
-        index = range(len(self))[index]
         return Tile(index, self.low[index], self.high[index], int(self.counts[index]))
 
     def __iter__(self) -> Iterator[Tile]:
@@ -80,12 +80,12 @@ class Layout:
         for index, count in enumerate(self.counts.tolist()):
             yield Tile(index, low[index], high[index], count)
 
-    @property
+    @cached_property
     def low(self) -> Corners:
         """Where the cores begin, (T, 2), metres; inclusive."""
         return np.where(self.begins <= -FARTHEST / self.cell, -np.inf, self.begins * self.cell)
 
-    @property
+    @cached_property
     def high(self) -> Corners:
         """Where the cores end, (T, 2), metres; exclusive."""
         return np.where(self.ends > FARTHEST / self.cell, np.inf, self.ends * self.cell)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import PointCountError, RowRangeError
+from tiling.formats.grid import Grid
 
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
@@ -62,6 +63,8 @@ class MapDescription:
         The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
     has_classification : bool
         Whether the batches carry ASPRS classes.
+    grid : Grid or None
+        The grid that all coordinates are on (LAS).
     notes : tuple of str
         What an output of this kind cannot carry over, one plain sentence each.
     """
@@ -73,6 +76,7 @@ class MapDescription:
     fields: tuple[Field, ...]
     crs: str | None = None
     has_classification: bool = False
+    grid: Grid | None = None
     notes: tuple[str, ...] = ()
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import Field, MapDescription, MapReader, PointBatch
+from tiling.formats.grid import Grid
 from tiling.formats.las_crs import crs_name
 from tiling.formats.las_header import (
     AT_WAVEFORMS,
@@ -135,9 +136,8 @@ class _RawPoints:
 
 def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
     """Return the coordinates of raw records, (n, 3), in the map's units."""
-    grid = np.ascontiguousarray(records[:, :12]).view("<i4")
-    xyz: NDArray[np.float64] = grid * np.array(header.scales) + np.array(header.offsets)
-    return xyz
+    integers = np.ascontiguousarray(records[:, :12]).view("<i4")
+    return Grid(header.scales, header.offsets).coordinates(integers)
 
 
 def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]:
@@ -160,6 +160,7 @@ def _describe(header: LasHeader) -> MapDescription:
         fields=(*_standard_fields(header), *_extra_fields(header)),
         crs=crs_name(header.vlrs + header.evlrs),
         has_classification=True,
+        grid=Grid(header.scales, header.offsets),
         notes=tuple(_notes(header)),
     )
 

@@ -1,0 +1,271 @@
+"""Chunks hold each point once in a core and wherever else it is near, to the last bit."""
+
+import json
+import pickle
+from itertools import pairwise
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiling.chunk_store import ChunkStore
+from tiling.chunks import assemble, read_chunk, read_cores
+from tiling.errors import ChunkError, GridError
+from tiling.formats.collection import MapCollection
+from tiling.formats.grid import Grid
+from tiling.layout import quadtree
+from tiling.pieces import write_pieces
+from tiling.survey import survey
+
+GRID = Grid((2.0**-6,) * 3, (0.0,) * 3)
+FORMATS = ("parquet", "las", "laz")
+
+
+def collection_of(folder: Path, xyz: np.ndarray) -> MapCollection:
+    paths = [folder / "first.npy", folder / "second.npy"]
+    np.save(paths[0], xyz[: len(xyz) // 3])
+    np.save(paths[1], xyz[len(xyz) // 3 :])
+    return MapCollection(paths)
+
+
+def store_of(folder, collection, max_points, halo, kind="parquet"):
+    layout = quadtree(survey(collection).occupancy, max_points)
+    store = ChunkStore(folder, layout, halo, collection.point_count, kind, GRID)
+    store.save()
+    return store
+
+
+def fill(store, collection, cuts=(), most=10**6, backwards=False):
+    ends = [0, *sorted(cuts), collection.point_count]
+    parts = list(enumerate(range(start, stop) for start, stop in pairwise(ends)))
+    tiles = list(range(len(store.layout)))
+    for part, rows in reversed(parts) if backwards else parts:
+        write_pieces(store, collection, rows, part, most)
+    for tile in reversed(tiles) if backwards else tiles:
+        assert assemble(store, tile) == len(read_chunk(store, tile))
+
+
+def chunk_bytes(store):
+    return [store.chunk_path(tile).read_bytes() for tile in range(len(store.layout))]
+
+
+def points(seed, size, extent, shift):
+    """Points on a grid, so that many lie on borders and on one another."""
+    random = np.random.default_rng(seed)
+    xyz = np.round(random.normal(size=(size, 3)) * extent * 64) / 64 + shift
+    xyz[random.random(size) < 0.05] = np.nan
+    return xyz
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 300),
+    st.sampled_from([0.5, 5.0, 300.0]),
+    st.sampled_from([0.0, -4e5]),
+    st.integers(5, 200),
+    st.sampled_from([0.0, 0.25, 1.3, 40.0]),
+    st.lists(st.integers(0, 1), max_size=3),
+    st.sampled_from([3, 50, 10**6]),
+    st.sampled_from(FORMATS),
+)
+def test_chunks_hold_core_and_halo_whatever_the_parts(
+    tmp_path_factory, seed, size, extent, shift, max_points, halo, cuts, most, kind
+):
+    folder = tmp_path_factory.mktemp("map")
+    xyz = points(seed, size, extent, shift)
+    collection = collection_of(folder, xyz)
+    store = store_of(folder / "once", collection, max_points, halo, kind)
+    fill(store, collection)
+    tiles = store.layout.tile_of(xyz)
+    finite = np.isfinite(xyz).all(axis=1)
+    seen = np.zeros(size, int)
+    for tile in range(len(store.layout)):
+        chunk = read_chunk(store, tile)
+        low, high = store.region(tile)
+        inside = finite & (xyz[:, :2] >= low).all(axis=1) & (xyz[:, :2] < high).all(axis=1)
+        np.testing.assert_array_equal(chunk.rows, np.flatnonzero(inside))
+        np.testing.assert_array_equal(chunk.xyz, xyz[inside])
+        np.testing.assert_array_equal(chunk.core, tiles[inside] == tile)
+        assert (chunk.xyz.dtype, chunk.rows.dtype, chunk.core.dtype) == (float, np.int64, bool)
+        seen[chunk.rows[chunk.core]] += 1
+    np.testing.assert_array_equal(seen, finite)
+
+    again = store_of(folder / "again", collection, max_points, halo, kind)
+    random = np.random.default_rng(seed)
+    fill(again, collection, random.integers(0, size + 1, len(cuts)), most, backwards=True)
+    assert chunk_bytes(again) == chunk_bytes(store)
+
+
+@pytest.fixture
+def filled(tmp_path):
+    """A map of 400 points, a store of it, and its pieces of 150 rows."""
+    xyz = points(1, 400, 5.0, 0.0)
+    collection = collection_of(tmp_path, xyz)
+    store = store_of(tmp_path / "store", collection, 60, 0.5)
+    fill(store, collection, [150, 300])
+    return xyz, collection, store
+
+
+def test_a_store_opens_again_and_travels_to_other_processes(filled):
+    _, _, store = filled
+    for other in (ChunkStore.open(store.folder), pickle.loads(pickle.dumps(store))):
+        assert (other.key, other.halo, other.format) == (store.key, store.halo, store.format)
+        assert (other.point_count, other.grid) == (store.point_count, store.grid)
+        assert read_chunk(other, 0).rows.tolist() == read_chunk(store, 0).rows.tolist()
+    with pytest.raises(ChunkError, match=r"store\.json: expected a folder of chunks"):
+        ChunkStore.open(store.folder / "chunks")
+
+
+def test_las_chunks_need_a_grid(filled):
+    _, _, store = filled
+    with pytest.raises(ValueError, match="need a grid"):
+        ChunkStore(store.folder, store.layout, 0.5, 400, "las")
+
+
+def test_a_piece_written_again_changes_nothing(filled):
+    _, collection, store = filled
+    before = chunk_bytes(store)
+    piece = store.piece_path(1).read_bytes()
+    write_pieces(store, collection, range(150, 300), 1)
+    assert store.piece_path(1).read_bytes() == piece
+    (store.piece_path(1).parent / f".{store.piece_path(1).name}.0123.part").write_bytes(b"half")
+    assemble(store, 2)
+    assert chunk_bytes(store) == before
+
+
+def cut_piece(store, collection):
+    path = store.piece_path(1)
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def shorten_points_of_piece(store, collection):
+    path = store.piece_path(1)
+    path.write_bytes(path.read_bytes()[32:])
+
+
+def damage_index(store, collection):
+    path = store.piece_path(1)
+    content = bytearray(path.read_bytes())
+    content[-70] ^= 1
+    path.write_bytes(content)
+
+
+def other_cut(store, collection):
+    layout = quadtree(survey(collection).occupancy, 30)
+    other = ChunkStore(store.folder, layout, 0.5, collection.point_count)
+    write_pieces(other, collection, range(150, 300), 1)
+
+
+def other_map(store, collection):
+    xyz = points(2, 400, 5.0, 0.0)
+    other = collection_of(store.folder, xyz)
+    write_pieces(store, other, range(150, 300), 1)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "place", "expected"),
+    [
+        (cut_piece, "000001.piece", "a whole piece"),
+        (shorten_points_of_piece, "000001.piece", "a piece of "),
+        (damage_index, "000001.piece", "the index that was written"),
+        (lambda store, _: store.piece_path(0).unlink(), "000001.piece", "begins with row 0"),
+        (lambda store, _: store.piece_path(1).unlink(), "000002.piece", "begins with row 150"),
+        (lambda store, _: store.piece_path(2).unlink(), "pieces", "pieces of 400 points"),
+        (
+            lambda store, map_: write_pieces(store, map_, range(200, 350), 7),
+            "000007.piece",
+            "begins with row 300",
+        ),
+        (other_cut, "000001.piece", "a piece of this map, cut like this"),
+        (other_map, "pieces", "points in the core of tile"),
+    ],
+)
+def test_pieces_that_are_not_whole_are_refused_in_one_line(filled, spoil, place, expected):
+    _, collection, store = filled
+    spoil(store, collection)
+    with pytest.raises(ChunkError) as raised:
+        for tile in range(len(store.layout)):
+            assemble(store, tile)
+    assert str(raised.value).split(":")[0].endswith(place)
+    assert expected in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_chunks_that_are_missing_or_damaged_are_refused_in_one_line(filled, tmp_path, kind):
+    _, collection, _ = filled
+    store = store_of(tmp_path / kind, collection, 60, 0.5, kind)
+    with pytest.raises(ChunkError, match="expected the chunk of tile 3, found no such file"):
+        read_chunk(store, 3)
+    fill(store, collection)
+    path = store.chunk_path(3)
+    content = path.read_bytes()
+    for size in (0, 10, len(content) // 2, len(content) - 40):
+        path.write_bytes(content[:size])
+        with pytest.raises(ChunkError) as raised:
+            read_chunk(store, 3)
+        assert str(raised.value).startswith(f"{path}: expected ")
+        assert "\n" not in str(raised.value)
+    path.write_bytes(store.chunk_path(2).read_bytes())
+    with pytest.raises(ChunkError):
+        read_chunk(store, 3)
+
+
+def test_cores_of_some_tiles_within_a_box(filled):
+    xyz, _, store = filled
+    low, high = np.array([-3.0, -2.0]), np.array([4.0, 1.5])
+    tiles = store.layout.near(low, high)
+    assert 1 < len(tiles) < len(store.layout)
+    found = read_cores(store, reversed(tiles.tolist()), low, high)
+    inside = ((xyz[:, :2] >= low) & (xyz[:, :2] <= high)).all(axis=1)
+    np.testing.assert_array_equal(found.rows, np.flatnonzero(inside))
+    np.testing.assert_array_equal(found.xyz, xyz[inside])
+    assert found.core.all()
+    assert len(read_cores(store, [], low, high)) == 0
+
+
+def test_parquet_chunks_are_tables_for_other_tools(filled):
+    _, _, store = filled
+    table = pq.read_table(store.chunk_path(1))
+    assert [str(field.type) for field in table.schema] == ["double"] * 3 + ["int64", "bool"]
+    assert table.schema.names == ["x", "y", "z", "row", "core"]
+    described = json.loads(table.schema.metadata[b"tile"])
+    place = store.layout[1]
+    assert described == {
+        "tile": 1,
+        "low": place.low.tolist(),
+        "high": place.high.tolist(),
+        "halo": 0.5,
+    }
+
+
+@pytest.mark.parametrize("kind", ["las", "laz"])
+def test_las_chunks_are_maps_for_other_tools(filled, tmp_path, kind):
+    xyz, collection, _ = filled
+    store = store_of(tmp_path / kind, collection, 60, 0.5, kind)
+    fill(store, collection)
+    found = laspy.read(store.chunk_path(1))
+    np.testing.assert_array_equal(found.xyz, xyz[found.row.astype(int)])
+    np.testing.assert_array_equal(
+        found.row[found.core == 1], np.flatnonzero(store.layout.tile_of(xyz) == 1)
+    )
+    np.testing.assert_array_equal(found.header.scales, GRID.scales)
+    np.testing.assert_array_equal(found.header.mins, found.xyz.min(axis=0))
+    (record,) = found.header.vlrs.get_by_id("tiling", [1])
+    assert json.loads(record.record_data)["halo"] == 0.5
+    assert MapCollection([store.chunk_path(1)]).point_count == len(found.xyz)
+
+
+def test_las_chunks_of_points_off_the_grid_are_refused(tmp_path):
+    xyz = np.random.default_rng(0).normal(size=(50, 3))
+    collection = collection_of(tmp_path, xyz)
+    store = store_of(tmp_path / "store", collection, 100, 0.5, "las")
+    write_pieces(store, collection, range(50), 0)
+    with pytest.raises(GridError, match=r"000000\.las: expected coordinates that LAS gives back"):
+        assemble(store, 0)
+    assert list(store.chunk_path(0).parent.iterdir()) == []

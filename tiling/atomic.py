@@ -1,0 +1,46 @@
+"""Files that appear whole or not at all."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from uuid import uuid4
+
+TEMPORARY = ".part"
+"""Suffix of a file that is being written; one that is left over belongs to a killed process."""
+
+
+@contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Give the name of a temporary file, which takes the name `path` when all went well.
+
+    What was written is flushed to the disk before. Several processes may write the same file at
+    the same time: the last one to finish stays.
+
+    Parameters
+    ----------
+    path : Path
+        In a folder that exists. An earlier file of this name is replaced.
+
+    Yields
+    ------
+    Path
+        A name beside it, for a file that the caller writes and closes.
+    """
+    temporary = path.with_name(f".{path.name}.{uuid4().hex[:12]}{TEMPORARY}")
+    try:
+        yield temporary
+        _flush(temporary)
+        temporary.replace(path)
+        _flush(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

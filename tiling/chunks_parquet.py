@@ -1,0 +1,37 @@
+"""Chunks in Parquet: columns x, y, z, row and core."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tiling.chunk_store import Chunk, ChunkStore
+
+_COLUMNS = ("x", "y", "z")
+
+
+def write(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
+    """Write a chunk; the tile's bounds and its halo are in the metadata of the schema."""
+    columns = {name: chunk.xyz[:, axis] for axis, name in enumerate(_COLUMNS)}
+    table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
+    table = table.replace_schema_metadata({"tile": store.describe(tile)})
+    # Coordinates hardly repeat, so dictionaries only cost time; zstd makes a quarter of the size.
+    pq.write_table(
+        table,
+        path,
+        row_group_size=max(len(chunk), 1),
+        use_dictionary=False,
+        write_statistics=False,
+        compression="zstd",
+        compression_level=1,
+    )
+
+
+def read(path: Path) -> Chunk:
+    """Read a chunk."""
+    table = pq.read_table(path, use_threads=False, memory_map=False)
+    xyz = np.empty((table.num_rows, 3))
+    for axis, name in enumerate(_COLUMNS):
+        xyz[:, axis] = table.column(name).to_numpy()
+    return Chunk(xyz, table.column("row").to_numpy(), table.column("core").to_numpy())

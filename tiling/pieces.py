@@ -1,0 +1,305 @@
+"""Pieces: the points of a range of the map's rows, sorted by tile, in one file.
+
+A piece is a sequence of points, an index, and an end. A point is x, y, z as float64 and its row
+number as int64, of which the complement (~row) says that the point is in the tile's halo and not
+in its core; a point is there once for each tile that it belongs to. The index names runs of
+points: tile, first point, number of points. The points of a tile are in the order of their rows.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.atomic import atomic_file
+from tiling.chunk_store import Chunk, ChunkStore
+from tiling.errors import ChunkError
+from tiling.formats.collection import MapCollection
+from tiling.formats.compiled import compiled
+from tiling.layout import NO_TILE, Layout
+
+POINTS_AT_A_TIME = 1_000_000
+"""Points that are read, or sorted by tile, at a time."""
+
+_END = struct.Struct("<8s16sqqqqI")
+"""Magic, key of the store, first row, row after the last, points, runs, checksum of the index."""
+_MAGIC = b"PIECE 1\n"
+_POINT_BYTES = 32
+_RUN_BYTES = 24
+
+Points = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def write_pieces(
+    store: ChunkStore,
+    collection: MapCollection,
+    rows: range,
+    part: int,
+    most: int = POINTS_AT_A_TIME,
+) -> int:
+    """Sort a range of the map's rows by tile into one file.
+
+    The file appears whole or not at all, and an earlier one of that part is replaced.
+
+    Parameters
+    ----------
+    store : ChunkStore
+    collection : MapCollection
+        The map.
+    rows : range
+        Consecutive row numbers. The ranges of all parts together are all rows of the map.
+    part : int
+        Number of the range.
+    most : int
+        Points held in memory at a time. A point counts once for each tile that it belongs to.
+
+    Returns
+    -------
+    int
+        Points in the file.
+
+    Raises
+    ------
+    RowRangeError
+        When the map has no such rows.
+    MapFormatError
+        When a file of the map is not what its header announced.
+    """
+    sorter = _Sorter(store.layout, store.halo)
+    runs = [np.empty((0, 3), np.int64)]
+    written = 0
+    path = store.piece_path(part)
+    with atomic_file(path) as temporary, temporary.open("wb") as stream:
+        for _, batch in collection.batches(most, rows):
+            for points, counts in sorter.by_tile(batch.xyz, batch.first_row, most):
+                stream.write(points.data)
+                runs.append(_runs(counts, written))
+                written += len(points)
+        index = np.concatenate(runs).tobytes()
+        stream.write(index)
+        count = len(index) // _RUN_BYTES
+        checksum = zlib.crc32(index)
+        end = (_MAGIC, store.key, rows.start, rows.stop, written, count, checksum)
+        stream.write(_END.pack(*end))
+    return written
+
+
+def read_tile(store: ChunkStore, tile: int) -> Chunk:
+    """Gather the points of a tile from all pieces; see `tiling.chunks.assemble`."""
+    runs = list(_runs_of_tile(store, tile))
+    points = np.empty((sum(count for _, _, count in runs), 4))
+    done = 0
+    for path, first, count in runs:
+        with path.open("rb") as stream:
+            stream.seek(first * _POINT_BYTES)
+            found = stream.readinto(points[done : done + count].data)
+        if found != count * _POINT_BYTES:
+            raise ChunkError(path, f"{count} points of tile {tile}", "the end of the file")
+        done += count
+    marked = points[:, 3].copy().view(np.int64)
+    core = marked >= 0
+    core_count = int(store.layout.counts[tile])
+    if int(core.sum()) != core_count:
+        found_count = f"{int(core.sum())}: the map is not the one that was surveyed"
+        expected = f"{core_count} points in the core of tile {tile}"
+        raise ChunkError(store.folder / "pieces", expected, found_count)
+    return Chunk(np.ascontiguousarray(points[:, :3]), np.where(core, marked, ~marked), core)
+
+
+def _runs(counts: Integers, first: int) -> Integers:
+    """Describe the runs of points sorted by tile, the first of which has a place in the file."""
+    tiles = np.flatnonzero(counts)
+    sizes = counts[tiles]
+    return np.column_stack([tiles, first + np.cumsum(sizes) - sizes, sizes])
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """What the end of a piece says: its rows, and where its index is."""
+
+    path: Path
+    rows: range
+    index_start: int
+    index_size: int
+    checksum: int
+
+
+def _runs_of_tile(store: ChunkStore, tile: int) -> Iterator[tuple[Path, int, int]]:
+    """Yield file, first point and number of points of each run of a tile, in the rows' order."""
+    for piece in _pieces(store):
+        with piece.path.open("rb") as stream:
+            stream.seek(piece.index_start)
+            data = stream.read(piece.index_size)
+        if zlib.crc32(data) != piece.checksum:
+            raise ChunkError(piece.path, "the index that was written", "another one")
+        runs = np.frombuffer(data, np.int64).reshape(-1, 3)
+        for _, first, count in runs[runs[:, 0] == tile].tolist():
+            yield piece.path, first, count
+
+
+def _pieces(store: ChunkStore) -> list[_Piece]:
+    """Return the pieces in the rows' order, having checked that they are all rows of the map."""
+    paths = sorted((store.folder / "pieces").glob("[!.]*.piece"))
+    pieces = sorted((_read_end(path, store.key) for path in paths), key=_rows_of)
+    row = 0
+    for piece in pieces:
+        if piece.rows.start != row:
+            expected = f"a piece that begins with row {row}"
+            raise ChunkError(piece.path, expected, f"one with row {piece.rows.start}")
+        row = piece.rows.stop
+    if row != store.point_count:
+        expected = f"pieces of {store.point_count} points"
+        raise ChunkError(store.folder / "pieces", expected, f"pieces of {row}")
+    return pieces
+
+
+def _rows_of(piece: _Piece) -> tuple[int, int]:
+    return piece.rows.start, piece.rows.stop
+
+
+def _read_end(path: Path, key: bytes) -> _Piece:
+    with path.open("rb") as stream:
+        size = stream.seek(0, 2)
+        stream.seek(max(size - _END.size, 0))
+        end = stream.read(_END.size)
+    if len(end) < _END.size or not end.startswith(_MAGIC):
+        raise ChunkError(path, "a whole piece of a map", "a file without the end of one")
+    _, found_key, start, stop, points, runs, checksum = _END.unpack(end)
+    if found_key != key:
+        raise ChunkError(path, "a piece of this map, cut like this", "one of another")
+    index_start, index_size = points * _POINT_BYTES, runs * _RUN_BYTES
+    whole = index_start + index_size + _END.size
+    if size != whole:
+        raise ChunkError(path, f"a piece of {whole} bytes", f"{size} bytes")
+    return _Piece(path, range(start, stop), index_start, index_size, checksum)
+
+
+class _Sorter:
+    """Sorts points by tile, core and halo.
+
+    Parameters
+    ----------
+    layout : Layout
+    halo : float
+        Metres.
+    """
+
+    def __init__(self, layout: Layout, halo: float) -> None:
+        self._layout = layout
+        self._halo = halo
+        self._low, self._high = layout.low - halo, layout.high + halo
+        # For each tile, the others whose halo reaches into its core: found when it is met.
+        self._others: dict[int, Integers] = {}
+
+    def by_tile(
+        self, xyz: Points, first_row: int, most: int
+    ) -> Iterator[tuple[NDArray[np.float64], Integers]]:
+        """Yield points as pieces hold them, sorted by tile, and how many there are of each tile.
+
+        Where they would be more than `most`, they come in several parts.
+        """
+        tiles = self._layout.tile_of(xyz)
+        starts, others = self._tables(tiles)
+        counts = np.zeros(len(self._layout), np.int64)
+        _count(xyz, tiles, starts, others, self._low, self._high, counts)
+        total = int(counts.sum())
+        if total > most and len(xyz) > 1:
+            middle = len(xyz) // 2
+            yield from self.by_tile(xyz[:middle], first_row, most)
+            yield from self.by_tile(xyz[middle:], first_row + middle, most)
+            return
+        points = np.empty((total, 4))
+        places = np.cumsum(counts) - counts
+        _place(
+            xyz,
+            tiles,
+            starts,
+            others,
+            self._low,
+            self._high,
+            first_row,
+            places,
+            points,
+            points.view(np.int64),
+        )
+        yield points, counts
+
+    def _tables(self, tiles: NDArray[np.int32]) -> tuple[Integers, Integers]:
+        """Return, end to end, the other tiles to look at for points of each tile, and where.
+
+        Those of tile t are others[starts[t] : starts[t + 1]].
+        """
+        sizes = np.zeros(len(self._layout) + 1, np.int64)
+        lists = [np.empty(0, np.int64)]
+        for tile in np.unique(tiles[tiles != NO_TILE]).tolist():
+            if tile not in self._others:
+                self._others[tile] = self._find_others(tile)
+            lists.append(self._others[tile])
+            sizes[tile + 1] = len(lists[-1])
+        return np.cumsum(sizes), np.concatenate(lists)
+
+    def _find_others(self, tile: int) -> Integers:
+        layout = self._layout
+        near = layout.within(layout.low[tile], layout.high[tile], self._halo)
+        return np.asarray(near[near != tile], np.int64)
+
+
+@compiled
+def _is_inside(x: float, y: float, low: Points, high: Points) -> bool:
+    return bool(low[0] <= x < high[0] and low[1] <= y < high[1])
+
+
+@compiled
+def _count(
+    xyz: Points,
+    tiles: NDArray[np.int32],
+    starts: Integers,
+    others: Integers,
+    low: Points,
+    high: Points,
+    counts: Integers,
+) -> None:
+    """Count the points of each tile, in its core and in its halo."""
+    for point in range(len(xyz)):
+        tile = tiles[point]
+        if tile == NO_TILE:
+            continue
+        counts[tile] += 1
+        for place in range(starts[tile], starts[tile + 1]):
+            other = others[place]
+            if _is_inside(xyz[point, 0], xyz[point, 1], low[other], high[other]):
+                counts[other] += 1
+
+
+@compiled
+def _place(
+    xyz: Points,
+    tiles: NDArray[np.int32],
+    starts: Integers,
+    others: Integers,
+    low: Points,
+    high: Points,
+    first_row: int,
+    places: Integers,
+    points: Points,
+    marks: Integers,
+) -> None:
+    """Put each point at the next place of each of its tiles; `marks` are the same bytes."""
+    for point in range(len(xyz)):
+        tile = tiles[point]
+        if tile == NO_TILE:
+            continue
+        points[places[tile], :3] = xyz[point]
+        marks[places[tile], 3] = first_row + point
+        places[tile] += 1
+        for place in range(starts[tile], starts[tile + 1]):
+            other = others[place]
+            if _is_inside(xyz[point, 0], xyz[point, 1], low[other], high[other]):
+                points[places[other], :3] = xyz[point]
+                marks[places[other], 3] = ~(first_row + point)
+                places[other] += 1
