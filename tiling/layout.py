@@ -26,7 +26,7 @@ Columns = NDArray[np.int64]
 Corners = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Tile:
     """One tile.
 
