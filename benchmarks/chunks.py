@@ -1,0 +1,64 @@
+"""Measure survey, pieces, chunks and the reading of chunks of a map: time a point and memory.
+
+    python benchmarks/chunks.py MAP [--max-points 1000000] [--halo 2] [--format parquet]
+
+Times include the reading of the map, which is given too. The memory is the peak of the process.
+"""
+
+import argparse
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+from tiling.chunk_store import ChunkStore
+from tiling.chunks import assemble, read_chunk
+from tiling.formats.collection import MapCollection, find_map_files
+from tiling.grid import grid_of
+from tiling.layout import quadtree
+from tiling.pieces import write_pieces
+from tiling.survey import survey
+
+ROWS_IN_A_PIECE = 2_500_000
+
+
+def main() -> None:
+    """Measure one map."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("map", nargs="+")
+    parser.add_argument("--max-points", type=int, default=1_000_000)
+    parser.add_argument("--halo", type=float, default=2.0)
+    parser.add_argument("--format", choices=["parquet", "las", "laz"], default="parquet")
+    arguments = parser.parse_args()
+    collection = MapCollection(find_map_files(arguments.map))
+    count = collection.point_count
+
+    def timed(name, work):
+        start = time.perf_counter()
+        result = work()
+        microseconds = (time.perf_counter() - start) / count * 1e6
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{name:12} {microseconds:6.3f} us a point, peak {peak:4.0f} MB")
+        return result
+
+    survey(collection, range(min(count, 10)))  # compiles
+    found = timed("survey", lambda: survey(collection))
+    layout = timed("quadtree", lambda: quadtree(found.occupancy, arguments.max_points))
+    grid = None if arguments.format == "parquet" else grid_of(collection, found)
+    with tempfile.TemporaryDirectory() as folder:
+        store = ChunkStore(Path(folder), layout, arguments.halo, count, arguments.format, grid)
+        store.save()
+        ranges = list(enumerate(collection.row_ranges(ROWS_IN_A_PIECE)))
+        tiles = range(len(layout))
+        write_pieces(store, collection, range(min(count, 10)), 0)
+        timed("pieces", lambda: [write_pieces(store, collection, r, part) for part, r in ranges])
+        stored = sum(timed("assemble", lambda: [assemble(store, tile) for tile in tiles]))
+        timed("read chunks", lambda: sum(len(read_chunk(store, tile)) for tile in tiles))
+        size = sum(store.chunk_path(tile).stat().st_size for tile in tiles)
+    timed("read map", lambda: sum(1 for _ in collection.batches()))
+    print(f"{len(layout)} tiles, {stored / count:.2f} points stored for each of the map's,")
+    print(f"{size / max(stored, 1):.1f} bytes a stored point")
+
+
+if __name__ == "__main__":
+    main()
