@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FORBIDDEN = {
     "dynahull": {"tiling", "pipeline", "dask", "distributed", "laspy", "pyarrow", "open3d"},
     "tiling": {"dynahull", "pipeline", "dask", "distributed", "open3d"},
-    "pipeline": set(),
+    "pipeline": {"benchmarks", "tests"},
 }
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from dynahull.errors import MissingClassificationError, MissingDependencyError
+from dynahull.errors import InvalidPointsError, MissingClassificationError, MissingDependencyError
 from dynahull.ground import (
     ClothParameters,
     GroundParameters,
@@ -173,6 +173,14 @@ def test_radii():
     assert ground_radius(GroundParameters(method="las_class")) == 0.0
     assert ground_radius(GroundParameters(method="csf")) is None
     assert ground_radius(DEFAULT) == pytest.approx(1 + 2 * 2 + 3.5 + 2**0.5 * 0.25)
+
+
+@pytest.mark.parametrize("far", [1e5, 3e38])
+def test_csf_refuses_a_cloth_that_would_end_the_process(far):
+    pytest.importorskip("CSF")
+    points = np.concatenate([np.random.default_rng(0).uniform(size=(50, 3)), [[far, far, 0]]])
+    with pytest.raises(InvalidPointsError, match="a stray point far away is enough"):
+        ground_mask(points, GroundParameters(method="csf"))
 
 
 def test_csf_finds_a_floor_in_silence_and_twice_the_same(capfd):

@@ -1,6 +1,7 @@
 """The command line as a user meets it: in a process of its own."""
 
 import json
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -86,6 +87,9 @@ def test_info_says_what_a_map_is(map_file):
         (["run", "wall.npy", "--set", "neighbours.kk=3"], 2, "did you mean k?"),
         (["run", "wall.npy", "--set", "ground.method=las_class"], 3, "las_class"),
         (["run", "wall.npy", "-o", "broken.las"], 1, "broken.las"),
+        (["run", "wall.npy", "-o", "wall.npy"], 1, "wall.npy"),
+        (["run", "wall.npy", "-o", ""], 2, "-o: expected a folder"),
+        (["run", ""], 3, "an empty name"),
     ],
 )
 def test_mistakes_are_one_line_and_an_exit_code_and_write_nothing(
@@ -113,7 +117,8 @@ def test_the_version_is_the_package_s():
     assert call("--version").stdout.strip() == version("dynahull-pipeline")
 
 
-def test_terminated_in_the_middle_leaves_nothing(tmp_path):
+@pytest.mark.parametrize("wanted", [signal.SIGTERM, signal.SIGHUP])
+def test_stopped_in_the_middle_leaves_nothing(wanted, tmp_path):
     random = np.random.default_rng(0)
     np.save(tmp_path / "big.npy", random.normal(size=(300_000, 3)))
     slow = ["--set", "ground.method=none", "--set", "density.device=reference"]
@@ -123,7 +128,7 @@ def test_terminated_in_the_middle_leaves_nothing(tmp_path):
         for line in process.stderr:
             if "density: " in line:
                 break
-        process.terminate()
+        process.send_signal(wanted)
         rest = process.stderr.read()
     assert process.returncode == 130
     assert "error: interrupted" in rest

@@ -1,10 +1,12 @@
 """Progress: seconds are kept by stage, and a log gets plain lines."""
 
 import logging
+from io import StringIO
 
 import pytest
 
 from pipeline import progress
+from pipeline.cli import StandardErrorHandler
 from pipeline.progress import LogDisplay, StageObserver, TerminalDisplay, watching
 
 
@@ -67,6 +69,14 @@ def test_without_a_terminal_there_is_no_bar(capsys):
         observer.stage("reading", 5)
         observer.advance(5)
     assert "\x1b" not in capsys.readouterr().err
+
+
+def test_a_log_line_goes_to_whatever_standard_error_is(monkeypatch):
+    handler = StandardErrorHandler()
+    for screen in (StringIO(), StringIO()):
+        monkeypatch.setattr("sys.stderr", screen)
+        handler.emit(logging.makeLogRecord({"msg": "compiling"}))
+        assert screen.getvalue() == "compiling\n"
 
 
 def test_the_bar_survives_stages_of_any_size(capsys):

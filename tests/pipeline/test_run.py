@@ -167,6 +167,12 @@ def test_results_cannot_replace_their_input(map_file, tmp_path):
         cleaned([tmp_path / "out" / "static.npy"], tmp_path / "out")
 
 
+def test_results_do_not_go_into_the_folder_that_is_the_map(map_file):
+    with pytest.raises(OutputError, match="this folder is the input"):
+        cleaned([map_file.parent], map_file.parent)
+    assert list(map_file.parent.iterdir()) == [map_file]
+
+
 def test_an_empty_map_passes_through(tmp_path):
     np.save(tmp_path / "empty.npy", np.empty((0, 3)))
     report = cleaned([tmp_path / "empty.npy"], tmp_path / "out")
