@@ -46,6 +46,23 @@ class PointCountError(TilingError):
     """A writer was given more or fewer points than it was opened for."""
 
 
+class PartsError(TilingError):
+    """An output was to be written in parts whose format does not allow it.
+
+    Parameters
+    ----------
+    path : Path
+        The map that the output is to be like.
+    format : str
+        Its kind and variant.
+    """
+
+    def __init__(self, path: Path, format: str) -> None:
+        self.path = path
+        self.format = format
+        super().__init__(f"{path}: expected a map with records of one size, found {format}")
+
+
 class RowRangeError(TilingError):
     """Rows were asked for that a map does not have.
 

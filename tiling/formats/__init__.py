@@ -35,13 +35,15 @@ MAP_SUFFIXES = tuple(_READERS)
 """File name suffixes of the maps that can be read, in lower case."""
 
 
-def open_map(path: Path) -> MapReader:
+def open_map(path: Path, threads: int = 1) -> MapReader:
     """Open a map for reading: its header is read and checked, no point is.
 
     Parameters
     ----------
     path : Path
         A file with one of the suffixes in `MAP_SUFFIXES`, in upper or lower case.
+    threads : int
+        Cores that reading and writing may use at once, see `MapReader.threads`.
 
     Returns
     -------
@@ -65,8 +67,10 @@ def open_map(path: Path) -> MapReader:
     if not path.is_file():
         raise MapFormatError(path, "a map file", "something that is not a file")
     module, name = _READERS[path.suffix.lower()]
-    reader: type[MapReader] = getattr(import_module(module), name)
+    kind: type[MapReader] = getattr(import_module(module), name)
     try:
-        return reader(path)  # type: ignore[call-arg]
+        reader = kind(path)  # type: ignore[call-arg]
     except OSError as error:
         raise MapFormatError(path, "a file that can be read", error.strerror or "none") from error
+    reader.threads = threads
+    return reader

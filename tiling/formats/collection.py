@@ -77,6 +77,8 @@ class MapCollection:
     ----------
     paths : sequence of Path
         The files, as `find_map_files` gives them. Every header is read and checked.
+    threads : int
+        Cores that reading and writing a file may use at once, see `MapReader.threads`.
 
     Attributes
     ----------
@@ -95,10 +97,10 @@ class MapCollection:
         When a file is not a map that can be read.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
+    def __init__(self, paths: Sequence[Path], threads: int = 1) -> None:
         if not paths:
             raise NoMapError("no argument", "none")
-        self.readers: tuple[MapReader, ...] = tuple(open_map(path) for path in paths)
+        self.readers: tuple[MapReader, ...] = tuple(open_map(path, threads) for path in paths)
         counts = [reader.description.point_count for reader in self.readers]
         *first_rows, self.point_count = accumulate(counts, initial=0)
         self.first_rows: tuple[int, ...] = tuple(first_rows)

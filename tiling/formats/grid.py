@@ -23,7 +23,11 @@ class Grid:
 
     def coordinates(self, integers: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return the coordinates of integers, both (n, 3)."""
-        xyz: NDArray[np.float64] = integers * np.array(self.scales) + np.array(self.offsets)
+        xyz = np.empty((len(integers), 3))
+        # An axis at a time: rows of three are too short for NumPy's loops.
+        for axis in range(3):
+            np.multiply(integers[:, axis], self.scales[axis], out=xyz[:, axis])
+            xyz[:, axis] += self.offsets[axis]
         return xyz
 
     def integers(self, xyz: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -47,3 +51,20 @@ class Grid:
     def _steps(self, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
         with np.errstate(over="ignore"):
             return np.asarray((xyz - np.array(self.offsets)) / np.array(self.scales))
+
+
+def integers_in_records(records: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return a view of the integers that raw records of LAS begin with.
+
+    Parameters
+    ----------
+    records : (n, record_length) uint8 array
+        Contiguous.
+
+    Returns
+    -------
+    (n, 3) int32 array
+        Those of x, y and z, not aligned.
+    """
+    strides = (records.shape[1], 4)
+    return np.ndarray((len(records), 3), dtype="<i4", buffer=records, strides=strides)

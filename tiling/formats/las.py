@@ -17,8 +17,8 @@ from laspy.point.format import PointFormat
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import Field, MapDescription, MapReader, PointBatch
-from tiling.formats.grid import Grid
+from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
+from tiling.formats.grid import Grid, integers_in_records
 from tiling.formats.las_crs import crs_name
 from tiling.formats.las_header import (
     AT_WAVEFORMS,
@@ -27,7 +27,8 @@ from tiling.formats.las_header import (
     LasHeader,
     read_header,
 )
-from tiling.formats.las_writer import LasWriter, is_copc_index
+from tiling.formats.las_surroundings import is_copc_index
+from tiling.formats.las_writer import LasPartWriter
 from tiling.formats.laz import (
     LaszipPoints,
     LazPoints,
@@ -36,6 +37,9 @@ from tiling.formats.laz import (
 )
 from tiling.formats.laz_chunks import knows_chunks
 from tiling.formats.laz_header import Compression, read_compression
+from tiling.formats.laz_parallel import ParallelLazPoints, can_be_read_in_parallel
+from tiling.formats.laz_writer import LazWriter
+from tiling.formats.parts import PartWriter, SinglePartWriter
 
 _LARGEST_BATCH = 1 << 28
 """Bytes of records in a batch, however many points the caller allows."""
@@ -102,15 +106,30 @@ class LasReader(MapReader):
                     first, coordinates(records, header), records, _classes(records, header)
                 )
 
-    def writer(self, path: Path, point_count: int) -> LasWriter:
+    def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
-        return LasWriter(path, point_count, self._header, self._compression)
+        if self._compression is None:
+            return SinglePartWriter(self.part_writer(path, point_count))
+        return LazWriter(path, point_count, self._header, self._compression, self.threads)
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether points are not compressed."""
+        return self._compression is None
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts of an uncompressed file; see `MapReader.part_writer`."""
+        if self._compression is not None:
+            return super().part_writer(path, point_count)
+        return LasPartWriter(path, point_count, self._header)
 
     def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:
             return _RawPoints(file, self._header, rows.start)
         if self._compression.needs_laszip and laszip_is_installed():
             return LaszipPoints(file, self._header, self._compression, rows)
+        if self.threads > 1 and can_be_read_in_parallel(file, self._header, self._compression):
+            return ParallelLazPoints(file, self._header, self._compression, rows, self.threads)
         return LazPoints(file, self._header, self._compression, rows)
 
 
@@ -136,8 +155,7 @@ class _RawPoints:
 
 def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
     """Return the coordinates of raw records, (n, 3), in the map's units."""
-    integers = np.ascontiguousarray(records[:, :12]).view("<i4")
-    return Grid(header.scales, header.offsets).coordinates(integers)
+    return Grid(header.scales, header.offsets).coordinates(integers_in_records(records))
 
 
 def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]:

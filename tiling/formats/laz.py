@@ -132,16 +132,9 @@ class LazPoints:
             self._refuse_points(error)
 
     def _refuse_points(self, error: BaseException) -> NoReturn:
-        """Turn an error of lazrs into the file's, unless it is not about what the file holds."""
-        if not comes_from_lazrs(error):
-            raise error
-        if self._window is not None and self._window.fault is not None:
+        if comes_from_lazrs(error) and self._window is not None and self._window.fault is not None:
             raise self._window.fault
-        raise MapFormatError(
-            self._header.path,
-            f"{self._header.point_count} compressed points from byte {self._header.points_offset}",
-            f"data that lazrs cannot read after point {self._row} ({error})",
-        ) from error
+        refuse_points(self._header, self._row, error)
 
     def _check_single_channel(self, records: NDArray[np.uint8]) -> None:
         """Refuse several scanner channels where lazrs would give wrong values for them."""
@@ -152,6 +145,17 @@ class LazPoints:
                 "LASzip items of version 3, or the package laszip to read version 4 with",
                 "version 4 with several scanner channels, and no laszip",
             )
+
+
+def refuse_points(header: LasHeader, row: int, error: BaseException) -> NoReturn:
+    """Turn an error of lazrs into the file's, unless it is not about what the file holds."""
+    if not comes_from_lazrs(error):
+        raise error
+    raise MapFormatError(
+        header.path,
+        f"{header.point_count} compressed points from byte {header.points_offset}",
+        f"data that lazrs cannot read after point {row} ({error})",
+    ) from error
 
 
 class _Window(io.RawIOBase):

@@ -7,7 +7,7 @@ data) and by its source.
 import io
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import accumulate
 from typing import Any, BinaryIO
@@ -57,28 +57,58 @@ def split_into_stretches(
     MapFormatError
         When chunks or layers contradict the file's size.
     """
-    start, end = header.points_offset, header.file_size
+    count = header.point_count
     if not rows:
         return
     if not compression.has_chunks:
-        yield Stretch(start, end, 0, header.point_count, header.point_count)
+        yield Stretch(header.points_offset, header.file_size, 0, count, count)
     elif compression.has_variable_chunks:
-        yield from _split_variable(file, header, compression, rows)
+        yield from split_into_chunks(file, header, compression, rows)
+    elif compression.has_layers:
+        chunks = split_into_chunks(file, header, compression, rows)
+        first = next(chunks)
+        end = first.end
+        for chunk in chunks:
+            end = chunk.end
+        yield replace(first, end=end, points=count - first.first_row)
     else:
-        start += 8
-        if start > end:
-            refuse(header, "8 bytes for the offset to the chunk table", "the file's end", end)
+        start = _first_chunk_start(header)
         first_chunk = rows.start // compression.chunk_size
-        if compression.has_layers:
-            chunks = -(-rows.stop // compression.chunk_size)
-            start = _walk_layers(file, header, compression, start, end, first_chunk)
-            end = _walk_layers(file, header, compression, start, end, chunks - first_chunk)
-        elif first_chunk:
-            starts = _chunk_starts(file, header, compression)
-            first_chunk = 0 if starts is None else first_chunk
-            start = start if starts is None else starts[first_chunk]
-        first_row = first_chunk * compression.chunk_size
-        yield Stretch(start, end, first_row, header.point_count - first_row, compression.chunk_size)
+        starts = _chunk_starts(file, header, compression) if first_chunk else None
+        if starts is None:
+            first_chunk = 0
+        else:
+            start = starts[first_chunk]
+        row = first_chunk * compression.chunk_size
+        yield Stretch(start, header.file_size, row, count - row, compression.chunk_size)
+
+
+def split_into_chunks(
+    file: BinaryIO, header: LasHeader, compression: Compression, rows: range
+) -> Iterator[Stretch]:
+    """Yield the chunks that hold some rows, each checked, where it is known where they begin.
+
+    Raises
+    ------
+    MapFormatError
+        When chunks or layers contradict the file's size.
+    """
+    if compression.has_variable_chunks:
+        yield from _split_variable(file, header, compression, rows)
+        return
+    size = compression.chunk_size
+    numbers = range(rows.start // size, -(-rows.stop // size))
+    if compression.has_layers:
+        ends = _layered_chunk_ends(file, header, compression, numbers)
+    else:
+        starts = _chunk_starts(file, header, compression)
+        assert starts is not None
+        ends = iter(starts[numbers.start : numbers.stop + 1])
+    start = next(ends)
+    for number, end in zip(numbers, ends, strict=True):
+        row = number * size
+        yield Stretch(start, end, row, min(size, header.point_count - row), size)
+        start = end
 
 
 def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:
@@ -90,19 +120,70 @@ def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) ->
     return _chunk_starts(file, header, compression) is not None
 
 
-def _chunk_starts(file: BinaryIO, header: LasHeader, compression: Compression) -> list[int] | None:
-    """Return where chunks of one size begin, None where the chunk table cannot be relied on.
+def longest_chunk(file: BinaryIO, header: LasHeader, compression: Compression) -> int:
+    """Return how many points the longest chunk has, or may have where all have one size."""
+    if not compression.has_variable_chunks:
+        return compression.chunk_size
+    _, table = read_chunk_table(file, header, compression)
+    return max((points for points, _ in table), default=0)
 
-    It is not needed to read such chunks one after the other, and may be missing or wrong.
+
+def _first_chunk_start(header: LasHeader) -> int:
+    """Return where the first chunk begins, after the offset to the chunk table."""
+    start = header.points_offset + 8
+    if start > header.file_size:
+        end = header.file_size
+        refuse(header, "8 bytes for the offset to the chunk table", "the file's end", end)
+    return start
+
+
+def _chunk_starts(file: BinaryIO, header: LasHeader, compression: Compression) -> list[int] | None:
+    """Return where chunks of one size begin and the last ends, None where that is not known.
+
+    The chunk table is not needed to read such chunks one after the other, and may be missing or
+    wrong.
     """
     try:
         table_start, table = read_chunk_table(file, header, compression)
     except MapFormatError:
         return None
-    start = header.points_offset + 8
-    *starts, end = accumulate((size for _, size in table), initial=start)
+    starts = list(accumulate((size for _, size in table), initial=header.points_offset + 8))
     chunks = -(-header.point_count // compression.chunk_size)
-    return starts if end == table_start and len(starts) == chunks else None
+    return starts if starts[-1] == table_start and len(table) == chunks else None
+
+
+def _layered_chunk_ends(
+    file: BinaryIO, header: LasHeader, compression: Compression, numbers: range
+) -> Iterator[int]:
+    """Yield where the first of some chunks of layers begins, and where each of them ends.
+
+    Each says itself how long it is. The chunk table is only a short cut to the first.
+    """
+    end = header.file_size
+    start = _first_chunk_start(header)
+    if numbers.start:
+        starts = _chunk_starts(file, header, compression)
+        if starts is not None and _is_layered_chunk(
+            file, header, compression, *starts[numbers.start : numbers.start + 2]
+        ):
+            start = starts[numbers.start]
+        else:
+            for _ in range(numbers.start):
+                start = _layered_chunk_end(file, header, compression, start, end)
+    yield start
+    for _ in numbers:
+        start = _layered_chunk_end(file, header, compression, start, end)
+        yield start
+
+
+def _is_layered_chunk(
+    file: BinaryIO, header: LasHeader, compression: Compression, start: int, end: int
+) -> bool:
+    """Tell whether a chunk begins and ends where the chunk table says."""
+    try:
+        return _layered_chunk_end(file, header, compression, start, end) == end
+    except MapFormatError:
+        return False
 
 
 def _split_variable(
@@ -125,7 +206,7 @@ def _split_variable(
         # What lies beyond the last point is checked too.
         surplus = first_row >= header.point_count
         if points and compression.has_layers and (wanted or surplus):
-            _walk_layers(file, header, compression, start, end, 1)
+            _layered_chunk_end(file, header, compression, start, end)
         if wanted:
             count = min(points, header.point_count - first_row)
             yield Stretch(start, end, first_row, count, points)
@@ -133,35 +214,23 @@ def _split_variable(
         start = end
 
 
-def _walk_layers(
-    file: BinaryIO,
-    header: LasHeader,
-    compression: Compression,
-    start: int,
-    end: int,
-    chunks: int,
+def _layered_chunk_end(
+    file: BinaryIO, header: LasHeader, compression: Compression, start: int, end: int
 ) -> int:
-    """Step over chunks of layers, and return where the last one ends.
+    """Return where a chunk of layers ends, which must be no later than a byte of the file.
 
     A chunk is its first point, the number of points, the size of each layer, and the layers.
     """
     layers = compression.layers
     head_size = header.record_length + 4 + 4 * layers
-    for chunk in range(1, chunks + 1):
-        file.seek(start)
-        head = file.read(min(head_size, max(end - start, 0)))
-        size = head_size
-        if len(head) == head_size:
-            size += sum(struct.unpack_from(f"<{layers}I", head, head_size - 4 * layers))
-        if start + size > end:
-            refuse(
-                header,
-                f"{chunks} LAZ chunks up to byte {end}",
-                f"chunk {chunk} of {size} bytes or more",
-                start,
-            )
-        start += size
-    return start
+    file.seek(start)
+    head = file.read(min(head_size, max(end - start, 0)))
+    size = head_size
+    if len(head) == head_size:
+        size += sum(struct.unpack_from(f"<{layers}I", head, head_size - 4 * layers))
+    if start + size > end:
+        refuse(header, f"LAZ chunks up to byte {end}", f"one of {size} bytes or more", start)
+    return start + size
 
 
 def read_chunk_table(

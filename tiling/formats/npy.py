@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
@@ -13,6 +16,7 @@ from tiling.formats.base import (
     PointBatch,
 )
 from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
+from tiling.formats.parts import PartWriter, SinglePartWriter
 
 _COLUMNS = ("x", "y", "z")
 
@@ -74,23 +78,32 @@ class NpyReader(MapReader):
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an array like this one; see `MapReader.writer`."""
-        return _NpyWriter(path, point_count, self._header)
+        return SinglePartWriter(self.part_writer(path, point_count))
+
+    @property
+    def writes_parts(self) -> bool:
+        """Always: every element has its place."""
+        return True
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts; see `MapReader.part_writer`."""
+        return _NpyParts(path, point_count, self._header)
 
 
-class _NpyWriter(MapWriter):
+class _NpyParts(PartWriter):
+    """Writes each row, or each element of it in Fortran order, to its place."""
+
     def __init__(self, path: Path, point_count: int, header: ArrayHeader) -> None:
         super().__init__(path, point_count)
-        self._file = path.open("wb")
-        self._rows = RowWriter(self._file, header, point_count)
+        self._header = header
 
-    def _append(self, records: Any) -> None:
-        self._rows.write(records)
+    def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
+        """Write rows to their places."""
+        RowWriter(file, self._header, self.point_count, first).write(records)
 
-    def _finish(self) -> None:
-        self._file.close()
-
-    def _abandon(self) -> None:
-        self._file.close()
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        start = file.write(self._header.encode(self.point_count))
+        file.truncate(start + self.point_count * self._header.row_bytes)
 
 
 def array_fields(header: ArrayHeader) -> tuple[Field, ...]:

@@ -305,36 +305,36 @@ class RowReader:
 
 
 class RowWriter:
-    """Writes an array of a known number of rows, some at a time.
+    """Writes rows of an array of a known number of rows to their places, some at a time.
 
     Parameters
     ----------
     file : binary file
-        Empty, and able to seek where the array is in Fortran order.
+        Able to seek. The header in front of the rows is for the caller to write.
     header : ArrayHeader
         Of the array to be like.
     row_count : int
-        Rows that will be written.
+        Rows that the array will have.
+    first_row : int
+        Where to begin.
     """
 
-    def __init__(self, file: BinaryIO, header: ArrayHeader, row_count: int) -> None:
+    def __init__(
+        self, file: BinaryIO, header: ArrayHeader, row_count: int, first_row: int = 0
+    ) -> None:
         self._file = file
         self._header = header
         self._row_count = row_count
-        self._row = 0
-        self._start = file.write(header.encode(row_count))
+        self._row = first_row
+        self._start = len(header.encode(row_count))
 
     def write(self, rows: NDArray[np.void]) -> None:
         """Append rows, as `RowReader.read` gives them."""
         columns = self._header.column_count
-        if not self._header.row_bytes:
-            return
-        if columns == 1:
-            self._file.write(rows.tobytes())
-            return
-        width = self._header.row_bytes // columns
-        table = rows.view(f"V{width}").reshape(-1, columns)
-        for column in range(columns):
-            self._file.seek(self._start + (column * self._row_count + self._row) * width)
-            self._file.write(table[:, column].tobytes())
+        if self._header.row_bytes:
+            width = self._header.row_bytes // columns
+            table = rows.view(f"V{width}").reshape(-1, columns)
+            for column in range(columns):
+                self._file.seek(self._start + (column * self._row_count + self._row) * width)
+                self._file.write(np.ascontiguousarray(table[:, column]).view(np.uint8).data)
         self._row += len(rows)

@@ -160,6 +160,7 @@ class _NpzWriter(MapWriter):
             if member.header and member.is_per_point:
                 spool = cast(BinaryIO, TemporaryFile(dir=path.parent))  # noqa: SIM115
                 self._stack.enter_context(spool)
+                spool.write(member.header.encode(point_count))
                 self._arrays[member.name] = spool, RowWriter(spool, member.header, point_count)
 
     def _append(self, records: Any) -> None:

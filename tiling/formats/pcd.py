@@ -23,6 +23,7 @@ from tiling.errors import MapFormatError
 from tiling.formats import lzf
 from tiling.formats.base import MapDescription, MapReader, MapWriter, PointBatch, only_rows
 from tiling.formats.column_spool import ColumnSpool
+from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.pcd_header import PcdField, PcdHeader, read_header
 from tiling.formats.text_rows import RowLayout, read_rows
 
@@ -79,14 +80,25 @@ class PcdReader(MapReader):
             return self._binary_batches(max_points, rows)
         return self._compressed_batches(max_points, rows)
 
-    def writer(self, path: Path, point_count: int) -> "PcdWriter":
+    def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
         if self._header.encoding == "ascii":
             return PcdAsciiWriter(path, point_count, self._header)
         if self._header.encoding == "binary":
-            return PcdBinaryWriter(path, point_count, self._header)
+            return SinglePartWriter(self.part_writer(path, point_count))
         widths = tuple(field.width for field in self._stored)
         return PcdCompressedWriter(path, point_count, self._header, widths)
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether the points are records of one size; compressed ones are columns."""
+        return self._header.encoding == "binary"
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
+        if self._header.encoding != "binary":
+            return super().part_writer(path, point_count)
+        return PcdBinaryParts(path, point_count, self._header)
 
     def _check_size(self, size: int) -> None:
         """Compare the points announced with the bytes that follow the header."""
@@ -226,11 +238,27 @@ class PcdAsciiWriter(PcdWriter):
         self._ended = text.endswith(b"\n")
 
 
-class PcdBinaryWriter(PcdWriter):
-    """Writes records one after the other."""
+class PcdBinaryParts(PartWriter):
+    """Writes records of one size, each to its place.
 
-    def _append(self, records: Any) -> None:
-        self._stream.write(records.tobytes())
+    Parameters
+    ----------
+    path, point_count, header
+        As for `PcdWriter`.
+    """
+
+    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
+        super().__init__(path, point_count)
+        self._start = header.for_points(point_count)
+        self._record_size = header.record_size
+
+    def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
+        """Write records to their places."""
+        put_records(file, len(self._start) + first * self._record_size, records)
+
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        file.write(self._start)
+        file.truncate(len(self._start) + self.point_count * self._record_size)
 
 
 class PcdCompressedWriter(PcdWriter):

@@ -1,8 +1,11 @@
 """PLY maps: ASCII and binary of both byte orders, with any properties and further elements."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
+
+from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
@@ -14,6 +17,7 @@ from tiling.formats.base import (
     only_rows,
 )
 from tiling.formats.coordinates import coordinate_names
+from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.ply_header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply_rows import open_rows
 
@@ -115,7 +119,20 @@ class PlyReader(MapReader):
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a PLY file like this one; see `MapReader.writer`."""
-        return _PlyWriter(path, point_count, self._path, self._header, self._kept_spans())
+        if self.writes_parts:
+            return SinglePartWriter(self.part_writer(path, point_count))
+        return _PlyWriter(path, point_count, self._header, self._kept_elements())
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether the vertices are binary records of one size."""
+        return self._header.encoding != "ascii" and self._header.vertex.is_fixed
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
+        if not self.writes_parts:
+            return super().part_writer(path, point_count)
+        return _PlyParts(path, point_count, self._header, self._kept_elements())
 
     def _check_size(self) -> None:
         """Compare the counts of the header with the size of the file."""
@@ -135,20 +152,21 @@ class PlyReader(MapReader):
                 at=f"byte {header.size}",
             )
 
-    def _kept_spans(self) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-        """Return the byte ranges to copy before and after the vertices."""
+    def _kept_elements(self) -> "_KeptElements":
+        """Find the elements to copy before and after the vertices."""
         header = self._header
         others = [e for e in header.elements if e.name != VERTEX]
         kept = [e for e in others if e.count and e not in header.dropped]
         if not kept:
-            return [], []
+            return _KeptElements(self._path)
         if self._spans is None:
             self._spans = self._find_spans()
         vertex_start = self._spans[VERTEX][0]
         spans = [self._spans[element.name] for element in kept]
-        return (
-            [span for span in spans if span[0] < vertex_start],
-            [span for span in spans if span[0] >= vertex_start],
+        return _KeptElements(
+            self._path,
+            before=tuple(span for span in spans if span[0] < vertex_start),
+            after=tuple(span for span in spans if span[0] >= vertex_start),
         )
 
     def _find_spans(self) -> dict[str, tuple[int, int]]:
@@ -162,43 +180,81 @@ class PlyReader(MapReader):
         return spans
 
 
+@dataclass(frozen=True, slots=True)
+class _KeptElements:
+    """Bytes of the source, from and to, that stand before and after the vertices of an output."""
+
+    source: Path
+    before: tuple[tuple[int, int], ...] = ()
+    after: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def size_before(self) -> int:
+        """Bytes of those before the vertices."""
+        return sum(end - start for start, end in self.before)
+
+    def copy_before(self, target: BinaryIO) -> None:
+        """Append the elements before the vertices."""
+        self._copy(self.before, target)
+
+    def copy_after(self, target: BinaryIO) -> None:
+        """Append the elements after the vertices."""
+        self._copy(self.after, target)
+
+    def _copy(self, spans: tuple[tuple[int, int], ...], target: BinaryIO) -> None:
+        if spans:
+            with self.source.open("rb") as source:
+                for start, end in spans:
+                    _copy_bytes(source, target, start, end)
+
+
 class _PlyWriter(MapWriter):
     """Writes vertices under the header of the source, and copies its other elements."""
 
     def __init__(
-        self,
-        path: Path,
-        point_count: int,
-        source: Path,
-        header: PlyHeader,
-        kept: tuple[list[tuple[int, int]], list[tuple[int, int]]],
+        self, path: Path, point_count: int, header: PlyHeader, kept: _KeptElements
     ) -> None:
         super().__init__(path, point_count)
-        self._source = source
-        self._header = header
-        before, self._after = kept
+        self._is_text = header.encoding == "ascii"
+        self._kept = kept
         self._file = path.open("wb")
         self._file.write(header.encode(point_count))
-        self._copy(before)
+        kept.copy_before(self._file)
 
     def _append(self, records: Any) -> None:
-        if self._header.encoding == "ascii" or self._header.vertex.is_fixed:
-            self._file.write(records.tobytes())
-        else:
-            self._file.write(b"".join(records))
+        self._file.write(records.tobytes() if self._is_text else b"".join(records))
 
     def _finish(self) -> None:
-        self._copy(self._after)
+        self._kept.copy_after(self._file)
         self._file.close()
 
     def _abandon(self) -> None:
         self._file.close()
 
-    def _copy(self, spans: list[tuple[int, int]]) -> None:
-        if spans:
-            with self._source.open("rb") as source:
-                for start, end in spans:
-                    _copy_bytes(source, self._file, start, end)
+
+class _PlyParts(PartWriter):
+    """Writes vertices of one size, each to its place, and copies the other elements."""
+
+    def __init__(
+        self, path: Path, point_count: int, header: PlyHeader, kept: _KeptElements
+    ) -> None:
+        super().__init__(path, point_count)
+        self._header = header.encode(point_count)
+        self._kept = kept
+        self._start = len(self._header) + kept.size_before
+        self._record_size = header.vertex.least_bytes
+
+    def put(self, file: BinaryIO, first: int, records: NDArray[Any]) -> None:
+        """Write records to their places."""
+        put_records(file, self._start + first * self._record_size, records)
+
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        file.write(self._header)
+        self._kept.copy_before(file)
+        end = self._start + self.point_count * self._record_size
+        file.truncate(end)
+        file.seek(end)
+        self._kept.copy_after(file)
 
 
 def _copy_bytes(source: BinaryIO, target: BinaryIO, start: int, end: int) -> None:

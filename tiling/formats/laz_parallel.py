@@ -1,0 +1,110 @@
+"""Compressed points (LAZ) decompressed several chunks at a time, through lazrs."""
+
+from importlib import import_module
+from itertools import islice
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.las_header import LasHeader
+from tiling.formats.laz import refuse_points
+from tiling.formats.laz_chunks import Stretch, knows_chunks, longest_chunk, split_into_chunks
+from tiling.formats.laz_header import Compression
+
+# It has no types that a checker can use.
+lazrs: Any = import_module("lazrs")
+
+_LONGEST_CHUNK = 1_000_000
+"""Points of a chunk; as many chunks as there are threads are held in memory."""
+
+
+def can_be_read_in_parallel(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:
+    """Tell whether chunks can be found without those before them, and are short enough."""
+    return (
+        not compression.needs_laszip
+        and knows_chunks(file, header, compression)
+        and longest_chunk(file, header, compression) <= _LONGEST_CHUNK
+    )
+
+
+class ParallelLazPoints:
+    """Decompresses the points of a LAZ file from a row on, in order, with several threads.
+
+    lazrs gives each chunk that it is handed in one call to a thread of a pool that the whole
+    process shares. So it is never handed more at once than there are threads to use.
+
+    Parameters
+    ----------
+    file, header, compression, rows
+        As for `LazPoints`, of a file that `can_be_read_in_parallel`.
+    threads : int
+        Chunks to decompress at a time.
+    """
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        header: LasHeader,
+        compression: Compression,
+        rows: range,
+        threads: int,
+    ) -> None:
+        self._file = file
+        self._header = header
+        self._compression = compression
+        self._rows = rows
+        self._threads = threads
+        self._chunks = split_into_chunks(file, header, compression, rows)
+        self._ready = self._memory = np.empty((0, header.record_length), dtype=np.uint8)
+
+    def read_into(self, records: NDArray[np.uint8]) -> None:
+        """Decompress the next points.
+
+        Parameters
+        ----------
+        records : (n, record_length) uint8 array
+            Where the next n points go.
+
+        Raises
+        ------
+        MapFormatError
+            When chunks or layers contradict the file's size, or the compressed bytes end too
+            early or make no sense.
+        """
+        done = 0
+        while done < len(records):
+            if not len(self._ready):
+                self._decompress_next_chunks()
+            count = min(len(records) - done, len(self._ready))
+            records[done : done + count] = self._ready[:count]
+            self._ready = self._ready[count:]
+            done += count
+
+    def _decompress_next_chunks(self) -> None:
+        chunks = list(islice(self._chunks, self._threads))
+        if not chunks:
+            raise MapFormatError(
+                self._header.path,
+                f"{self._header.point_count} points",
+                "chunks of fewer",
+            )
+        first_row = chunks[0].first_row
+        table = [(self._wanted(chunk), chunk.end - chunk.start) for chunk in chunks]
+        count = sum(points for points, _ in table)
+        if len(self._memory) < count:
+            self._memory = np.empty((count, self._header.record_length), dtype=np.uint8)
+        points = self._memory[:count]
+        self._file.seek(chunks[0].start)
+        data = self._file.read(chunks[-1].end - chunks[0].start)
+        vlr = self._compression.for_stretch(chunks[0].chunk_size)
+        try:
+            lazrs.decompress_points_with_chunk_table(data, vlr, points.reshape(-1), table)
+        except BaseException as error:
+            refuse_points(self._header, first_row, error)
+        self._ready = points[max(self._rows.start - first_row, 0) :]
+
+    def _wanted(self, chunk: Stretch) -> int:
+        """Return how many points of a chunk are to be decompressed, from its first on."""
+        return min(chunk.points, self._rows.stop - chunk.first_row)

@@ -1,0 +1,199 @@
+"""One output file that several processes write at once, each a range of its points.
+
+That takes records of one size: each point then has its place in the file as soon as it is known
+how many points come before it. The bytes are those that one process writes, since that one
+writes a single part.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import PointCountError
+from tiling.formats.base import MapWriter
+
+
+@dataclass(slots=True)
+class PartSummary:
+    """Which points of an output a part holds, and what the end of the writing must know of them.
+
+    Small, and made to be sent from one process to another.
+
+    Attributes
+    ----------
+    first : int
+        Row number, in the output, of its first point.
+    count : int
+        Points in it.
+    """
+
+    first: int
+    count: int = 0
+
+    def add(self, records: Any) -> None:
+        """Take at least one more point into account."""
+        self.count += len(records)
+
+
+class PartWriter(ABC):
+    """Writes a map of a known number of points in parts, in any order and from any process.
+
+    One process calls `create`; then each writes its parts; and when all are written, one process
+    calls `finish` with the summaries of all. The object can be pickled, and remembers nothing of
+    these calls: each may be made on another copy.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    point_count : int
+        Points it will hold.
+    """
+
+    def __init__(self, path: Path, point_count: int) -> None:
+        self.path = path
+        self.point_count = point_count
+
+    def create(self) -> None:
+        """Write all but the points, and give the file its full size."""
+        with self.path.open("wb") as file:
+            self._write_surroundings(file)
+
+    def open_part(self, first: int) -> "MapPart":
+        """Open the file, which must have been created, to write points from a row on."""
+        return MapPart(self, first)
+
+    def finish(self, summaries: Iterable[PartSummary]) -> None:
+        """Write what only all points together tell.
+
+        Parameters
+        ----------
+        summaries : iterable of PartSummary
+            Of all parts, in any order.
+
+        Raises
+        ------
+        PointCountError
+            When the parts are not all points, each once.
+        """
+        parts = sorted(summaries, key=lambda part: (part.first, part.count))
+        row = 0
+        for part in parts:
+            if part.first != row:
+                raise PointCountError(
+                    f"{self.path}: expected a part that begins with point {row}, "
+                    f"found one that begins with {part.first}"
+                )
+            row += part.count
+        if row != self.point_count:
+            raise PointCountError(
+                f"{self.path}: created for {self.point_count} points, given {row}"
+            )
+        header = self._completed_header(parts)
+        if header is not None:
+            with self.path.open("r+b") as file:
+                file.write(header)
+
+    def new_summary(self, first: int) -> PartSummary:
+        """Return the summary of a part that has no points yet."""
+        return PartSummary(first)
+
+    @abstractmethod
+    def put(self, file: BinaryIO, first: int, records: Any) -> None:
+        """Write records to their places, the first of them being that of point `first`."""
+
+    @abstractmethod
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        """Write what is before and after the points, and leave the file at its full size."""
+
+    def _completed_header(self, parts: Sequence[PartSummary]) -> bytes | None:
+        """Return how the file begins, where that takes knowledge of all points."""
+        return None
+
+
+class MapPart:
+    """Some consecutive points of an output, written as a stream.
+
+    A context manager that closes the file. `summary` is whole when all points are written.
+
+    Parameters
+    ----------
+    writer : PartWriter
+    first : int
+        Row number, in the output, of the first point.
+    """
+
+    def __init__(self, writer: PartWriter, first: int) -> None:
+        if not 0 <= first <= writer.point_count:
+            raise PointCountError(
+                f"{writer.path}: expected a part that begins with one of {writer.point_count} "
+                f"points, found {first}"
+            )
+        self.summary = writer.new_summary(first)
+        self._writer = writer
+        self._file = writer.path.open("r+b")
+
+    def write(self, records: Any) -> None:
+        """Append points, as the reader's batches hold them."""
+        if not len(records):
+            return
+        row = self.summary.first + self.summary.count
+        if row + len(records) > self._writer.point_count:
+            raise PointCountError(
+                f"{self._writer.path}: created for {self._writer.point_count} points, "
+                f"given {row + len(records)}"
+            )
+        self._writer.put(self._file, row, records)
+        self.summary.add(records)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class SinglePartWriter(MapWriter):
+    """Writes a map in one part.
+
+    Parameters
+    ----------
+    parts : PartWriter
+    """
+
+    def __init__(self, parts: PartWriter) -> None:
+        super().__init__(parts.path, parts.point_count)
+        parts.create()
+        self._parts = parts
+        self._part = parts.open_part(0)
+
+    def _append(self, records: Any) -> None:
+        self._part.write(records)
+
+    def _finish(self) -> None:
+        self._part.close()
+        self._parts.finish([self._part.summary])
+
+    def _abandon(self) -> None:
+        self._part.close()
+
+
+def put_records(file: BinaryIO, start: int, records: NDArray[Any]) -> None:
+    """Write the bytes of an array of records from a byte of the file on."""
+    file.seek(start)
+    file.write(np.ascontiguousarray(records).view(np.uint8).data)
