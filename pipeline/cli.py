@@ -9,6 +9,8 @@ from typing import Annotated, NoReturn, TextIO
 
 import typer
 
+from pipeline.evaluation.command import evaluate_command
+
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
 EXIT_BAD_INPUT = 3
@@ -165,6 +167,9 @@ def keys_command() -> None:
     from pipeline.configuration_page import configuration_page  # noqa: PLC0415
 
     typer.echo(configuration_page(), nl=False)
+
+
+app.command("evaluate")(evaluate_command)
 
 
 def main() -> NoReturn:

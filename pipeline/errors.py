@@ -23,3 +23,11 @@ class MissingViewerError(PipelineError):
 
 class LostPointsError(PipelineError):
     """The outputs together do not hold the points of the input: nothing is published."""
+
+
+class MissingPackageError(PipelineError):
+    """A figure or a picture was asked for, and the optional package for it is not installed."""
+
+
+class EvaluationError(PipelineError):
+    """The maps and labels given for an evaluation do not fit each other."""

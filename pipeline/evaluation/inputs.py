@@ -1,0 +1,154 @@
+"""Finding what is to be compared: maps, labels, and what a run left in its folder."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from dynahull import Label
+from pipeline.errors import ConfigurationError, EvaluationError
+from pipeline.evaluation.labels import (
+    Labels,
+    is_label_table,
+    parse_values,
+    read_label_table,
+    read_labels_of_map,
+)
+from pipeline.evaluation.options import EvaluationOptions
+from pipeline.outputs import LABELS_FILE, RUN_FILE
+from tiling.formats.collection import MapCollection, find_map_files
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationInputs:
+    """What is to be compared.
+
+    Attributes
+    ----------
+    cleaned : MapCollection
+    truth : MapCollection or None
+        A map of what is static; None where `labels` say it.
+    original : MapCollection or None
+        The map before it was cleaned.
+    labels : (N,) int8 array or None
+        `Truth` of each row of the original, where the user has it.
+    removed : (N,) bool array or None
+        Rows of the original that the run removed, where its folder says so.
+    """
+
+    cleaned: MapCollection
+    truth: MapCollection | None
+    original: MapCollection | None
+    labels: Labels | None
+    removed: NDArray[np.bool_] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _RunFolder:
+    """The files of a finished run: the static map, the map it was given, and its labels."""
+
+    static: tuple[Path, ...]
+    originals: tuple[Path, ...]
+    labels: Path
+
+
+def find_inputs(
+    cleaned: str, truth: str, original: str | None, options: EvaluationOptions
+) -> EvaluationInputs:
+    """Find and check the files of an evaluation; no point of a map is read, labels are.
+
+    Parameters
+    ----------
+    cleaned : str
+        A map (file, folder or pattern), or the output folder of a run.
+    truth : str
+        A map of what is static; or, with `options.labels`, a map that holds labels and is the
+        original; or a Parquet table of labels, one row for each of the original.
+    original : str or None
+        By default the one that the run was given, or the labelled map.
+    options : EvaluationOptions
+
+    Returns
+    -------
+    EvaluationInputs
+
+    Raises
+    ------
+    ConfigurationError, EvaluationError, TilingError
+    """
+    run = _read_run(Path(cleaned))
+    cleaned_map = MapCollection(run.static if run else find_map_files([cleaned]))
+    dynamic = parse_values("--dynamic", options.dynamic)
+    unlabelled = parse_values("--unlabelled", options.unlabelled)
+    labels: Labels | None = None
+    truth_map: MapCollection | None = None
+    if is_label_table(Path(truth)):
+        original_map = _original(original, run)
+        if original_map is None:
+            raise EvaluationError(f"{truth}: labels are of an original map; give it by --original")
+        labels = read_label_table(Path(truth), options.labels, dynamic, unlabelled)
+        if len(labels) != original_map.point_count:
+            raise EvaluationError(
+                f"{truth}: expected labels of the {original_map.point_count:,} points of "
+                f"{original_map.name}, found {len(labels):,}"
+            )
+    elif options.labels is not None:
+        original_map = MapCollection(find_map_files([truth]))
+        if original is not None and not _same_files(find_map_files([original]), original_map.paths):
+            raise ConfigurationError(
+                "--original: with --labels it is the labelled map, --truth; leave it out"
+            )
+        labels = read_labels_of_map(original_map, options.labels, dynamic, unlabelled)
+    else:
+        truth_map = MapCollection(find_map_files([truth]))
+        original_map = _original(original, run)
+    removed = _removed_rows(run, original_map) if run and original_map else None
+    return EvaluationInputs(cleaned_map, truth_map, original_map, labels, removed)
+
+
+def _read_run(folder: Path) -> _RunFolder | None:
+    """Read what a run left in its folder; None where the path is no such folder."""
+    if not (folder / RUN_FILE).is_file():
+        return None
+    try:
+        files = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))["files"]
+        return _RunFolder(
+            static=tuple(folder / file["static"] for file in files),
+            originals=tuple(Path(file["path"]) for file in files),
+            labels=folder / LABELS_FILE,
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise EvaluationError(
+            f"{folder / RUN_FILE}: expected the report of a run, found {error!r}"
+        ) from None
+
+
+def _original(original: str | None, run: _RunFolder | None) -> MapCollection | None:
+    """Return the map given, or else the one that the run was given, if it is still there."""
+    if original is not None:
+        return MapCollection(find_map_files([original]))
+    if run is not None and all(path.is_file() for path in run.originals):
+        return MapCollection(run.originals)
+    return None
+
+
+def _removed_rows(run: _RunFolder, original: MapCollection) -> NDArray[np.bool_] | None:
+    """Return which rows the run removed; None if it kept no labels or cleaned another map."""
+    if not run.labels.is_file() or not _same_files(run.originals, original.paths):
+        return None
+    label = pq.read_table(run.labels, columns=["label"]).column(0)
+    removed = pc.equal(label.cast("string"), Label.DYNAMIC.title)
+    if len(removed) != original.point_count:
+        raise EvaluationError(
+            f"{run.labels}: expected a label of the {original.point_count:,} points of "
+            f"{original.name}, found {len(removed):,}: the map was changed since it was cleaned"
+        )
+    return np.asarray(removed.to_numpy(), dtype=np.bool_)
+
+
+def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:
+    return [path.resolve() for path in first] == [path.resolve() for path in second]

@@ -1,0 +1,162 @@
+"""What is true of each point of the original map: it is static, or moved, or nobody said."""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pipeline.errors import ConfigurationError, EvaluationError
+from tiling.formats.collection import MapCollection
+from tiling.formats.coordinates import coordinate_names
+from tiling.formats.field_values import field_values
+
+MOVING_COLUMN = "moving"
+"""The column of `truth.parquet`, as `simulate` writes it."""
+
+_CLASS_BITS = 0xFFFF
+"""SemanticKITTI keeps the class in the lower half of its 32 bits, the instance in the upper."""
+
+_RANGE = re.compile(r"(-?\d+)(?:-(-?\d+))?")
+
+
+class Truth(IntEnum):
+    """What is true of a point."""
+
+    STATIC = 0
+    DYNAMIC = 1
+    UNKNOWN = 2
+    """Not labelled, or without finite coordinates: counts nowhere."""
+
+
+Labels = NDArray[np.int8]
+"""One `Truth` for every row of the original map."""
+
+
+def parse_values(option: str, text: str) -> tuple[range, ...]:
+    """Read label values such as `2`, `252-259` or `0,1,252-259`.
+
+    Raises
+    ------
+    ConfigurationError
+        When the text is something else; it names `option`.
+    """
+    ranges = []
+    for part in text.split(",") if text else []:
+        match = _RANGE.fullmatch(part.strip())
+        if match is None:
+            raise ConfigurationError(
+                f"{option} {text}: expected whole numbers and ranges such as 2 or 252-259, "
+                f"found {part.strip()!r}"
+            )
+        first = int(match[1])
+        last = first if match[2] is None else int(match[2])
+        if last < first:
+            raise ConfigurationError(f"{option} {text}: {part.strip()} runs backwards")
+        ranges.append(range(first, last + 1))
+    return tuple(ranges)
+
+
+def to_truth(
+    values: NDArray[np.generic], dynamic: Sequence[range], unlabelled: Sequence[range]
+) -> Labels:
+    """Turn label values into what is true of the points.
+
+    Parameters
+    ----------
+    values : (n,) array of numbers or booleans
+        Of a number above 65535 the lower 16 bits are the class (SemanticKITTI).
+    dynamic, unlabelled : sequence of range
+        Values of points that moved, and of points that nobody labelled; all others are static.
+        A value that is not a number, or not whole, is unlabelled.
+
+    Returns
+    -------
+    (n,) int8 array
+        Of `Truth`.
+    """
+    numbers = values.astype(np.float64)
+    whole = np.isfinite(numbers) & (np.abs(numbers) < 2**53) & (numbers == np.floor(numbers))
+    classes = np.where(whole, numbers, 0).astype(np.int64)
+    classes = np.where(classes > _CLASS_BITS, classes & _CLASS_BITS, classes)
+    labels = np.full(len(values), Truth.STATIC, dtype=np.int8)
+    labels[_within(classes, dynamic)] = Truth.DYNAMIC
+    labels[_within(classes, unlabelled) | ~whole] = Truth.UNKNOWN
+    return labels
+
+
+def is_label_table(path: Path) -> bool:
+    """Whether a file is Parquet without columns x, y and z: labels, and not a map."""
+    if path.suffix.lower() != ".parquet" or not path.is_file():
+        return False
+    try:
+        return coordinate_names(pq.read_schema(path).names) is None
+    except (pa.ArrowException, OSError):
+        return False  # the reader of maps says what is wrong with it
+
+
+def read_label_table(
+    path: Path, column: str | None, dynamic: Sequence[range], unlabelled: Sequence[range]
+) -> Labels:
+    """Read labels from a table of one row a point, such as the `truth.parquet` of `simulate`.
+
+    Parameters
+    ----------
+    path : Path
+    column : str or None
+        Its column of labels; `moving` by default.
+    dynamic, unlabelled : sequence of range
+        See `to_truth`.
+
+    Raises
+    ------
+    EvaluationError
+        When there is no such column of numbers or booleans.
+    """
+    column = column or MOVING_COLUMN
+    names = pq.read_schema(path).names
+    if column not in names:
+        raise EvaluationError(
+            f"{path}: expected a column {column!r} (--labels), found {', '.join(names)}"
+        )
+    values = pq.read_table(path, columns=[column]).column(0).to_numpy()
+    if values.dtype.kind not in "biuf":
+        raise EvaluationError(f"{path}: expected numbers in {column!r}, found {values.dtype}")
+    return to_truth(values, dynamic, unlabelled)
+
+
+def read_labels_of_map(
+    collection: MapCollection, field: str, dynamic: Sequence[range], unlabelled: Sequence[range]
+) -> Labels:
+    """Read the labels that a map carries in one of its fields, in the order of its rows.
+
+    Raises
+    ------
+    MapFormatError
+        When a file of the map has no such field of numbers.
+    """
+    return np.concatenate(
+        [
+            np.empty(0, dtype=np.int8),
+            *(
+                to_truth(values, dynamic, unlabelled)
+                for values in _all_values(collection.paths, field)
+            ),
+        ]
+    )
+
+
+def _all_values(paths: Iterable[Path], field: str) -> Iterator[NDArray[np.generic]]:
+    for path in paths:
+        yield from field_values(path, field)
+
+
+def _within(classes: NDArray[np.int64], ranges: Sequence[range]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(classes), dtype=np.bool_)
+    for each in ranges:
+        inside |= (classes >= each.start) & (classes < each.stop)
+    return inside

@@ -1,0 +1,167 @@
+"""A map from above, every decision in the colour of the DynaHull paper.
+
+Points are counted in pixels, batch by batch: memory does not grow with the map.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import EvaluationError, MissingPackageError, OutputError
+from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.scoring import ScoredMap
+from tiling.atomic import atomic_file
+
+MOST_PIXELS, LEAST_PIXELS = 1200, 300
+"""On the picture's longer side: many for many points; few points would be lost among them."""
+
+COLOURS = {
+    "true negative: static, kept": (0.84, 0.84, 0.84),
+    "true positive: moved, removed": (0.10, 0.65, 0.25),
+    "false positive: static, removed": (0.15, 0.35, 0.95),
+    "false negative: moved, kept": (0.90, 0.10, 0.10),
+}
+"""In the order of `decision_counts`."""
+
+_BACKGROUND = (1.0, 1.0, 1.0)
+
+
+def drawing_library() -> Any:
+    """Import Matplotlib.
+
+    Raises
+    ------
+    MissingPackageError
+        When it is not installed.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 (optional, and seconds of import time)
+        import matplotlib.figure  # noqa: PLC0415
+    except (ImportError, OSError) as error:
+        raise MissingPackageError(
+            f"--picture needs Matplotlib: pip install 'dynahull-pipeline[plot]' ({error})"
+        ) from error
+    return mpl
+
+
+def decision_counts(
+    scored: ScoredMap, pixels: int
+) -> tuple[NDArray[np.int64], tuple[float, float, float, float]]:
+    """Count the points of each decision in each pixel, seen from above.
+
+    Parameters
+    ----------
+    scored : ScoredMap
+    pixels : int
+        On the longer side.
+
+    Returns
+    -------
+    counts : (4, height, width) int64 array
+        True negatives, true positives, false positives, false negatives; row 0 has the least y.
+    extent : tuple of float
+        Left, right, bottom and top edge, in the map's units.
+
+    Raises
+    ------
+    EvaluationError
+        When no point is labelled.
+    """
+    known = scored.original.choose(scored.labels != Truth.UNKNOWN)
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for _, xyz in known.batches():
+        if len(xyz):
+            low = np.minimum(low, xyz[:, :2].min(axis=0))
+            high = np.maximum(high, xyz[:, :2].max(axis=0))
+    if not np.isfinite(low).all():
+        raise EvaluationError(f"{known.name}: expected labelled points to draw, found none")
+    size = max(float((high - low).max()), 1e-9) / pixels
+    width, height = (int(side) for side in np.floor((high - low) / size).astype(np.int64) + 1)
+    counts = np.zeros(4 * height * width, dtype=np.int64)
+    for rows, xyz in known.batches():
+        column, line = np.floor((xyz[:, :2] - low) / size).astype(np.int64).T
+        moved, removed = scored.labels[rows] == Truth.DYNAMIC, scored.removed[rows]
+        decision = np.select([moved & removed, removed, moved], [1, 2, 3], 0)
+        flat = (decision * height + line) * width + column
+        counts += np.bincount(flat, minlength=counts.size)
+    edges = (low[0], low[0] + width * size, low[1], low[1] + height * size)
+    left, right, bottom, top = (float(edge) for edge in edges)
+    return counts.reshape(4, height, width), (left, right, bottom, top)
+
+
+def colour_pixels(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Choose each pixel's colour.
+
+    A pixel of static points shows whether more of them were kept or removed, so that a wall is
+    blue where it is lost and not where a point of it is. Points that moved are drawn over them,
+    again as most of them were decided. Of two equally common, the wrong decision shows.
+
+    Parameters
+    ----------
+    counts : (4, height, width) int array
+        As `decision_counts` gives them.
+
+    Returns
+    -------
+    (height, width, 3) float64 array
+        Red, green, blue, from 0 to 1.
+    """
+    kept, right, wrong, missed = counts
+    image = np.full((*kept.shape, 3), _BACKGROUND)
+    grey, green, blue, red = COLOURS.values()
+    image[kept > wrong] = grey
+    image[(wrong >= kept) & (wrong > 0)] = blue
+    image[right > missed] = green
+    image[(missed >= right) & (missed > 0)] = red
+    return image
+
+
+def draw_picture(scored: ScoredMap, path: Path) -> None:
+    """Draw the map from above into a PNG file.
+
+    Parameters
+    ----------
+    scored : ScoredMap
+    path : Path
+        Replaced when the picture is complete.
+
+    Raises
+    ------
+    EvaluationError
+        When no point is labelled.
+    MissingPackageError
+        When Matplotlib is not installed.
+    OutputError
+        When the file cannot be written.
+    """
+    mpl = drawing_library()
+    known = int(np.count_nonzero(scored.labels != Truth.UNKNOWN))
+    pixels = min(max(math.isqrt(known), LEAST_PIXELS), MOST_PIXELS)
+    counts, extent = decision_counts(scored, pixels)
+    left, right, bottom, top = extent
+    longest = max(right - left, top - bottom)
+    figure = mpl.figure.Figure(
+        figsize=(2 + 12 * (right - left) / longest, 2 + 12 * (top - bottom) / longest),
+        layout="constrained",
+    )
+    axes = figure.add_subplot()
+    axes.imshow(
+        colour_pixels(counts), origin="lower", extent=extent, interpolation="nearest", aspect=1
+    )
+    axes.set_xlabel("x, m")
+    axes.set_ylabel("y, m")
+    axes.ticklabel_format(useOffset=False, style="plain")
+    totals = counts.sum(axis=(1, 2))
+    handles = [
+        mpl.patches.Patch(color=colour, label=f"{name} ({total:,})")
+        for (name, colour), total in zip(COLOURS.items(), totals.tolist(), strict=True)
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
+    try:
+        with atomic_file(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=MOST_PIXELS / 12)
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror or error}") from error

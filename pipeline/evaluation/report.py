@@ -1,0 +1,189 @@
+"""An evaluation as JSON, and as a table for people."""
+
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+
+from pydantic import BaseModel, ConfigDict
+from rich.table import Table
+
+from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy
+from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics
+from pipeline.evaluation.earth_mover import EarthMoversDistance
+from pipeline.evaluation.evaluate import Figures
+from pipeline.evaluation.inputs import EvaluationInputs
+from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.preservation import Preservation
+from pipeline.machine import peak_memory
+from pipeline.progress import StageObserver
+from tiling.formats.collection import MapCollection
+
+Row = tuple[str, str, str]
+"""A figure's name, its value, and its unit or what it is of."""
+
+
+class MapFiles(BaseModel):
+    """The files of a map, and how many points they have."""
+
+    files: list[str]
+    points: int
+
+    @classmethod
+    def of(cls, collection: MapCollection) -> "MapFiles":
+        """Name them in full."""
+        files = [str(path.resolve()) for path in collection.paths]
+        return cls(files=files, points=collection.point_count)
+
+
+class EvaluationReport(BaseModel):
+    """Everything an evaluation has to say.
+
+    Attributes
+    ----------
+    version, finished : str
+        Of this product; date and time, UTC, ISO 8601.
+    cleaned : MapFiles
+    truth : str
+        As it was given.
+    original : MapFiles or None
+    options : EvaluationOptions
+    distances, chamfer, earth_mover, confusion, accuracy, preservation : models
+        The figures; None where they were not asked for, or need an original map.
+    seconds : dict of str to float
+        Wall time of each stage.
+    peak_memory_bytes : int
+        Of this process.
+    warnings : list of str
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    version: str
+    finished: str
+    cleaned: MapFiles
+    truth: str
+    original: MapFiles | None
+    options: EvaluationOptions
+    distances: DistanceStatistics
+    chamfer: ChamferDistance
+    earth_mover: EarthMoversDistance | None
+    confusion: Confusion | None
+    accuracy: DynamicMapAccuracy | None
+    preservation: Preservation | None
+    seconds: dict[str, float]
+    peak_memory_bytes: int
+    warnings: list[str]
+
+    @classmethod
+    def of(
+        cls,
+        inputs: EvaluationInputs,
+        truth: str,
+        options: EvaluationOptions,
+        figures: Figures,
+        observer: StageObserver,
+    ) -> "EvaluationReport":
+        """Gather the report of a finished evaluation."""
+        geometry, scores = figures.geometry, figures.scores
+        return cls(
+            version=version("dynahull-pipeline"),
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+            cleaned=MapFiles.of(inputs.cleaned),
+            truth=truth,
+            original=MapFiles.of(inputs.original) if inputs.original else None,
+            options=options,
+            distances=geometry.distances,
+            chamfer=geometry.chamfer,
+            earth_mover=geometry.earth_mover,
+            confusion=scores.confusion if scores else None,
+            accuracy=scores.accuracy if scores else None,
+            preservation=scores.preservation if scores else None,
+            seconds={stage: round(seconds, 3) for stage, seconds in observer.seconds.items()},
+            peak_memory_bytes=peak_memory(),
+            warnings=observer.warnings,
+        )
+
+    def to_json(self) -> str:
+        """Return the report as JSON."""
+        return json.dumps(self.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+
+    def to_table(self) -> Table:
+        """Return the figures for the terminal, one section a family."""
+        table = Table(show_header=False)
+        table.add_column(no_wrap=True)
+        table.add_column(justify="right", no_wrap=True)
+        table.add_column(no_wrap=True)
+        sections = [("to the nearest point", _distance_rows(self))]
+        if self.earth_mover:
+            sections.append(("Earth Mover's Distance", _transport_rows(self.earth_mover)))
+        if self.confusion:
+            sections.append(("points removed", _confusion_rows(self.confusion)))
+        if self.accuracy:
+            sections.append(("DynamicMap benchmark", _accuracy_rows(self.accuracy)))
+        if self.preservation:
+            sections.append(("ERASOR", _preservation_rows(self.preservation)))
+        for title, rows in sections:
+            table.add_section()
+            table.add_row(title, style="bold")
+            for row in rows:
+                table.add_row(*row)
+        return table
+
+
+def _distance_rows(report: EvaluationReport) -> Iterator[Row]:
+    distances, chamfer = report.distances, report.chamfer
+    yield "MAE", _metres(distances.mean_absolute_error), "m"
+    yield "variance", _metres(distances.variance), "m²"
+    yield "RMSE", _metres(distances.root_mean_square_error), "m"
+    yield "90th percentile", _metres(distances.percentile_90), "m"
+    yield "largest", _metres(distances.largest), "m"
+    yield "Chamfer, squared", _metres(chamfer.squared), "m²"
+    yield "  cleaned to truth", _metres(chamfer.cleaned_to_truth.squared), "m²"
+    yield "  truth to cleaned", _metres(chamfer.truth_to_cleaned.squared), "m²"
+    yield "Chamfer, unsquared", _metres(chamfer.unsquared), "m"
+    yield "  cleaned to truth", _metres(chamfer.cleaned_to_truth.unsquared), "m"
+    yield "  truth to cleaned", _metres(chamfer.truth_to_cleaned.unsquared), "m"
+
+
+def _transport_rows(moved: EarthMoversDistance) -> Iterator[Row]:
+    unit = "m" if moved.ground_cost == "euclidean" else "m²"
+    yield "EMD", _metres(moved.distance), unit
+    yield "two samples of the truth", _metres(moved.sampling_floor), unit
+    yield "points of the samples", f"{moved.cleaned_points:,}, {moved.truth_points:,}", ""
+    yield "ground cost", moved.ground_cost, f"seed {moved.seed}"
+
+
+def _confusion_rows(counts: Confusion) -> Iterator[Row]:
+    yield "TP, moved and removed", f"{counts.true_positives:,}", "points"
+    yield "FP, static but removed", f"{counts.false_positives:,}", "points"
+    yield "FN, moved but kept", f"{counts.false_negatives:,}", "points"
+    yield "TN, static and kept", f"{counts.true_negatives:,}", "points"
+    yield "FP", _percent(counts.false_positive_percent), "% of the static points"
+    yield "FN", _percent(counts.false_negative_percent), "% of the points that moved"
+    yield "precision", _percent(counts.precision), "% of the removed points"
+    yield "recall", _percent(counts.recall), "% of the points that moved"
+    yield "F1", _percent(counts.f1), "%"
+
+
+def _accuracy_rows(accuracy: DynamicMapAccuracy) -> Iterator[Row]:
+    yield "SA", _percent(accuracy.static_accuracy), "%"
+    yield "DA", _percent(accuracy.dynamic_accuracy), "%"
+    yield "AA", _percent(accuracy.associated_accuracy), "%"
+    yield "HA", _percent(accuracy.harmonic_accuracy), "%"
+    yield "matched within", f"{accuracy.match_distance:g}", "m"
+
+
+def _preservation_rows(rates: Preservation) -> Iterator[Row]:
+    yield "preservation rate", _percent(rates.preservation_rate), "%"
+    yield "rejection rate", _percent(rates.rejection_rate), "%"
+    yield "F1", _percent(rates.f1), "%"
+    yield "voxels", f"{rates.voxel:g}", "m"
+
+
+def _metres(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def _percent(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.2f}"
