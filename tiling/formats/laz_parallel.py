@@ -11,13 +11,10 @@ from tiling.errors import MapFormatError
 from tiling.formats.las_header import LasHeader
 from tiling.formats.laz import refuse_points
 from tiling.formats.laz_chunks import Stretch, knows_chunks, longest_chunk, split_into_chunks
-from tiling.formats.laz_header import Compression
+from tiling.formats.laz_header import LARGEST_PARALLEL_CHUNK, Compression
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
-
-_LONGEST_CHUNK = 1_000_000
-"""Points of a chunk; as many chunks as there are threads are held in memory."""
 
 
 def can_be_read_in_parallel(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:
@@ -25,7 +22,8 @@ def can_be_read_in_parallel(file: BinaryIO, header: LasHeader, compression: Comp
     return (
         not compression.needs_laszip
         and knows_chunks(file, header, compression)
-        and longest_chunk(file, header, compression) <= _LONGEST_CHUNK
+        and longest_chunk(file, header, compression) * header.record_length
+        <= LARGEST_PARALLEL_CHUNK
     )
 
 

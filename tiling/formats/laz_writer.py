@@ -12,7 +12,7 @@ from tiling.formats.base import MapWriter
 from tiling.formats.las_header import RECORD_LENGTHS, LasHeader
 from tiling.formats.las_summary import LasSummary
 from tiling.formats.las_surroundings import LasSurroundings
-from tiling.formats.laz_header import Compression, own_compression
+from tiling.formats.laz_header import LARGEST_PARALLEL_CHUNK, Compression, own_compression
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -58,12 +58,7 @@ class LazWriter(MapWriter):
         self._file = path.open("wb")
         try:
             self._surroundings.write_header(self._file)
-            if vlr.uses_variable_size_chunks():
-                self._points: _Chunks = _ChannelChunks(self._file, vlr)
-            elif threads > 1:
-                self._points = _ParallelChunks(self._file, vlr, header.record_length, threads)
-            else:
-                self._points = _Chunks(lazrs.LasZipCompressor(self._file, vlr))
+            self._points = _chunks(self._file, vlr, point_count, threads)
         except BaseException:
             self._file.close()
             raise
@@ -101,6 +96,16 @@ def _followed_compression(header: LasHeader, compression: Compression) -> bytes 
     return None if follows and not variable_chunks else data
 
 
+def _chunks(file: BinaryIO, vlr: Any, point_count: int, threads: int) -> "_Chunks":
+    """Choose how to compress."""
+    if vlr.uses_variable_size_chunks():
+        return _ChannelChunks(file, vlr)
+    size = vlr.chunk_size()
+    if threads > 1 and size < point_count and size * vlr.item_size() <= LARGEST_PARALLEL_CHUNK:
+        return _ParallelChunks(file, vlr, threads)
+    return _Chunks(lazrs.LasZipCompressor(file, vlr))
+
+
 class _Chunks:
     """Compresses points as they come, in chunks of one size."""
 
@@ -123,9 +128,10 @@ class _ParallelChunks(_Chunks):
     process shares. So it is never handed more at once than there are threads to use.
     """
 
-    def __init__(self, file: BinaryIO, vlr: Any, record_length: int, threads: int) -> None:
+    def __init__(self, file: BinaryIO, vlr: Any, threads: int) -> None:
         super().__init__(lazrs.ParLasZipCompressor(file, vlr))
-        self._gathered = np.empty((threads * vlr.chunk_size(), record_length), dtype=np.uint8)
+        shape = (threads * vlr.chunk_size(), vlr.item_size())
+        self._gathered = np.empty(shape, dtype=np.uint8)
         self._count = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:
