@@ -150,7 +150,7 @@ def gather_candidates(
     return count
 
 
-@compiled
+@inlined
 def search_list(
     tree: Tree,
     x: float,

@@ -41,11 +41,12 @@ class Neighbourhood(NamedTuple):
     Attributes
     ----------
     dx, dy, dz : (capacity,) float64 arrays
-        Coordinates relative to the query, nearest first.
+        Coordinates relative to the query.
     length, width, thickness : (capacity,) float64 arrays
         Coordinates in the frame, in [-1, 1].
     x, y, z : (capacity,) float64 arrays
-        The coordinates on the grid, shaken: multiples of `STEP`.
+        The coordinates on the grid, shaken: multiples of `STEP`. After the last point comes
+        NaN in `x`.
     rough_x, rough_y, rough_z : (capacity,) float32 arrays
         The same, rounded.
     shake : (3, capacity + SHAKES * stride) float64 array
@@ -107,7 +108,7 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     Parameters
     ----------
     points : Neighbourhood
-        `dx`, `dy` and `dz` given, the farthest point last; `length`, `width` and `thickness` set.
+        `dx`, `dy` and `dz` given; `length`, `width` and `thickness` set.
     count : int
         Number of points.
 
@@ -119,7 +120,9 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     """
     size = np.uint64(count)
     dx, dy, dz = points.dx, points.dy, points.dz
-    last = size - np.uint64(1)
+    for i in range(size):
+        points.length[i] = (dx[i] * dx[i] + dy[i] * dy[i]) + dz[i] * dz[i]
+    last = place_of_largest(points.length, size)
     extent_1 = np.sqrt(dx[last] * dx[last] + dy[last] * dy[last] + dz[last] * dz[last])
     if extent_1 == 0.0:
         return 0.0
@@ -176,3 +179,6 @@ def set_on_grid(points: Neighbourhood, count: int, attempt: int) -> None:
         points.rough_x[i] = np.float32(points.x[i])
         points.rough_y[i] = np.float32(points.y[i])
         points.rough_z[i] = np.float32(points.z[i])
+    for i in range(np.uint64(count), np.uint64(points.x.size)):
+        points.x[i] = np.nan
+        points.rough_x[i] = np.nan

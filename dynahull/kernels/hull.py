@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled
+from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import (
     SHAKES,
     Neighbourhood,
@@ -35,7 +35,7 @@ from dynahull.kernels.predicates import (
     accurate_minor,
     is_above_all_others,
 )
-from dynahull.kernels.vectors import ROUGH_INDEX_BITS, depths_below, point_met
+from dynahull.kernels.vectors import ROUGH_INDEX_BITS, depths_below, point_met, turns
 
 
 class Surface(NamedTuple):
@@ -89,7 +89,8 @@ def hull_volume(
     Parameters
     ----------
     points : Neighbourhood
-        `dx`, `dy` and `dz` given, nearest first, no two the same; the rest is overwritten.
+        `dx`, `dy` and `dz` given, no two the same, in an order that follows from the points: the
+        last bits of the volume depend on it. The rest is overwritten.
     count : int
         Number of points.
     surface : Surface
@@ -132,26 +133,109 @@ def _wrap(points: Neighbourhood, count: int, surface: Surface, rough: bool) -> f
     """Find the facets of the hull; return the volume inside, or -1 where they contradict."""
     _find_first_facet(points, count, surface)
     facets, done = 1, 0
-    volume = 0.0
-    while done < facets and volume >= 0.0:
+    sixfold = 0.0
+    first = np.uint64(0)
+    certain = _measure_depths(points, count, surface, rough, first)
+    if certain:
+        a, b = surface.a[first], surface.b[first]
+        apex = _turn(points, count, surface, rough, first, a, b)
+        _add_facet(points, surface, np.uint64(1), b, a, apex)
+        facets = 2
+    while done < facets and certain:
         facet = np.uint64(done)
         a, b, c = surface.a[facet], surface.b[facet], surface.c[facet]
-        if not _measure_depths(points, count, surface, rough, facet):
-            volume = -1.0
-            break
-        volume += _tetrahedron(points, a, b, c)
-        for i, j in ((a, b), (b, c), (c, a)):
-            if surface.has_facet[j, i]:
-                continue
-            apex = _turn(points, count, surface, rough, facet, i, j)
-            if facets == 2 * count - 4 or surface.has_facet[i, apex] or surface.has_facet[apex, j]:
-                volume = -1.0
+        sixfold += _parallelepiped(points, a, b, c)
+        certain, over_bc, over_ca = _turns(points, count, surface, rough, facet)
+        if certain and not surface.has_facet[c, b]:
+            if (
+                facets == 2 * count - 4
+                or surface.has_facet[b, over_bc]
+                or surface.has_facet[over_bc, c]
+            ):
+                certain = False
                 break
-            _add_facet(points, surface, np.uint64(facets), j, i, apex)
+            _add_facet(points, surface, np.uint64(facets), c, b, over_bc)
+            facets += 1
+        if certain and not surface.has_facet[a, c]:
+            if (
+                facets == 2 * count - 4
+                or surface.has_facet[c, over_ca]
+                or surface.has_facet[over_ca, a]
+            ):
+                certain = False
+                break
+            _add_facet(points, surface, np.uint64(facets), a, c, over_ca)
             facets += 1
         done += 1
     _forget_edges(surface, facets)
-    return volume
+    return sixfold / 6.0 if certain else -1.0
+
+
+@inlined
+def _turns(
+    points: Neighbourhood, count: int, surface: Surface, rough: bool, facet: np.uint64
+) -> tuple[bool, np.uint64, np.uint64]:
+    """Turn a facet's plane over its second and its third edge until it meets a point.
+
+    Returns
+    -------
+    certain : bool
+        Whether all points are below the facet for sure.
+    over_bc, over_ca : uint64
+        The points met.
+    """
+    a, b, c = surface.a[facet], surface.b[facet], surface.c[facet]
+    x, y, z = points.x, points.y, points.z
+    normal_x, normal_y, normal_z = (
+        surface.normal_x[facet],
+        surface.normal_y[facet],
+        surface.normal_z[facet],
+    )
+    height = normal_x * x[c] + normal_y * y[c] + normal_z * z[c]
+    edge_x, edge_y, edge_z = x[c] - x[b], y[c] - y[b], z[c] - z[b]
+    bc_x = normal_y * edge_z - normal_z * edge_y
+    bc_y = normal_z * edge_x - normal_x * edge_z
+    bc_z = normal_x * edge_y - normal_y * edge_x
+    bc_margin = bc_x * x[c] + bc_y * y[c] + bc_z * z[c]
+    edge_x, edge_y, edge_z = x[a] - x[c], y[a] - y[c], z[a] - z[c]
+    ca_x = normal_y * edge_z - normal_z * edge_y
+    ca_y = normal_z * edge_x - normal_x * edge_z
+    ca_z = normal_x * edge_y - normal_y * edge_x
+    ca_margin = ca_x * x[c] + ca_y * y[c] + ca_z * z[c]
+    if rough:
+        largest = max(abs(normal_x), abs(normal_y), abs(normal_z))
+        below, over_bc, over_ca = turns(
+            points.rough_x,
+            points.rough_y,
+            points.rough_z,
+            count,
+            (
+                np.float32(normal_x),
+                np.float32(normal_y),
+                np.float32(normal_z),
+                np.float32(height),
+                np.float32(ROUGHLY_UNCERTAIN * largest),
+            ),
+            (np.float32(bc_x), np.float32(bc_y), np.float32(bc_z), np.float32(bc_margin)),
+            (np.float32(ca_x), np.float32(ca_y), np.float32(ca_z), np.float32(ca_margin)),
+        )
+    else:
+        below, over_bc, over_ca = turns(
+            points.x,
+            points.y,
+            points.z,
+            count,
+            (normal_x, normal_y, normal_z, height, UNCERTAIN),
+            (bc_x, bc_y, bc_z, bc_margin),
+            (ca_x, ca_y, ca_z, ca_margin),
+        )
+    if below == count - 3:
+        return True, over_bc, over_ca
+    if not _measure_depths(points, count, surface, rough, facet):
+        return False, a, a
+    over_bc = _turn(points, count, surface, rough, facet, b, c)
+    over_ca = _turn(points, count, surface, rough, facet, c, a)
+    return True, over_bc, over_ca
 
 
 @compiled
@@ -267,7 +351,7 @@ def _point_met(
     return point_met(points.x, points.y, points.z, surface.depth, count, i, j, inward)
 
 
-@compiled
+@inlined
 def _add_facet(
     points: Neighbourhood,
     surface: Surface,
@@ -305,12 +389,12 @@ def _forget_edges(surface: Surface, facets: int) -> None:
         surface.has_facet[c, a] = False
 
 
-@compiled
-def _tetrahedron(points: Neighbourhood, a: np.uint64, b: np.uint64, c: np.uint64) -> float:
+@inlined
+def _parallelepiped(points: Neighbourhood, a: np.uint64, b: np.uint64, c: np.uint64) -> float:
     """Return the volume, in the frame and not shaken, of a facet's tetrahedron with the query."""
     u, v, w = points.length, points.width, points.thickness
     return (
         u[a] * (v[b] * w[c] - w[b] * v[c])
         + v[a] * (w[b] * u[c] - u[b] * w[c])
         + w[a] * (u[b] * v[c] - v[b] * u[c])
-    ) / 6.0
+    )

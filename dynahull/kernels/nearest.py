@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.lanes import aligned, padded
 from dynahull.kernels.tree import LEAF_SIZE
-from dynahull.kernels.vectors import rank_all
+from dynahull.kernels.vectors import largest, lowest_place, places_from, rank_all
 
-SLACK = 8
+SLACK = 4
 """Points beyond the k-th that counting may leave in: sorting them is cheaper than counting on."""
 
 
@@ -23,16 +23,19 @@ class Nearest(NamedTuple):
         Squared distances.
     at : (capacity,) uint32 array
         Positions in the tree.
-    key, key_bits, rank, other_distance, other_at
+    measure : (capacity,) float64 array
+        What they are sorted by.
+    key, key_bits, rank, other_measure, other_at
         Room to sort them.
     """
 
     distance: NDArray[np.float64]
     at: NDArray[np.uint32]
+    measure: NDArray[np.float64]
     key: NDArray[np.float32]
     key_bits: NDArray[np.uint32]
     rank: NDArray[np.uint32]
-    other_distance: NDArray[np.float64]
+    other_measure: NDArray[np.float64]
     other_at: NDArray[np.uint32]
 
 
@@ -41,8 +44,9 @@ def make_nearest(k: int) -> Nearest:
     size = padded(2 * k + SLACK + LEAF_SIZE)
     key = aligned(size, np.float32)
     return Nearest(
-        np.empty(size),
+        aligned(size + 32),
         np.empty(size, np.uint32),
+        np.empty(size),
         key,
         key.view(np.uint32),
         aligned(size, np.uint32),
@@ -91,12 +95,44 @@ def _sift_down(
 
 
 @inlined
-def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
-    """Sort the first `count` neighbours by (squared distance, row number).
+def keep_nearest(nearest: Nearest, count: int, k: int, rows: NDArray[np.int64]) -> float:
+    """Drop all but the k nearest of the first `count` points; return the k-th squared distance.
 
-    Each goes to the place that counting the smaller ones gives it, by distances in single
+    They are few more than k. Ties go to the smaller row number.
+    """
+    farthest = largest(nearest.distance, np.uint64(count))
+    for left in range(count, k, -1):
+        drop = _last_of_farthest(nearest, np.uint64(left), farthest, rows)
+        nearest.distance[drop] = nearest.distance[np.uint64(left - 1)]
+        nearest.at[drop] = nearest.at[np.uint64(left - 1)]
+        farthest = largest(nearest.distance, np.uint64(left - 1))
+    return farthest
+
+
+@inlined
+def _last_of_farthest(
+    nearest: Nearest, count: np.uint64, farthest: float, rows: NDArray[np.int64]
+) -> np.uint64:
+    """Return which of the points at the farthest distance has the largest row number."""
+    last, last_row = np.uint64(0), np.int64(-1)
+    found = False
+    for begin in range(np.uint64(0), count, np.uint64(32)):
+        places = places_from(nearest.distance, begin, farthest)
+        while places:
+            i = begin + lowest_place(places)
+            places &= places - np.uint64(1)
+            if i < count and (not found or rows[nearest.at[i]] > last_row):
+                last, last_row, found = i, rows[nearest.at[i]], True
+    return last
+
+
+@inlined
+def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
+    """Sort the first `count` points by (measure, row number).
+
+    Each goes to the place that counting the smaller ones gives it, by measures in single
     precision made different by an index in their lowest bits; an insertion pass then settles what
-    these blur by the distances themselves, and ties by the row numbers.
+    these blur by the measures themselves, and ties by the row numbers.
     """
     size = np.uint64(count)
     mask = np.uint32(1)
@@ -105,28 +141,28 @@ def sort_nearest(nearest: Nearest, count: int, rows: NDArray[np.int64]) -> None:
     mask -= np.uint32(1)
     for i in range(size):
         # Neither infinite nor denormal, or the index would make it no number, or zero.
-        nearest.key[i] = np.float32(min(nearest.distance[i], 1e38)) + np.float32(1e-30)
+        nearest.key[i] = np.float32(max(-1e38, min(nearest.measure[i], 1e38))) + np.float32(1e-30)
     for i in range(size):
         nearest.key_bits[i] = (nearest.key_bits[i] & ~mask) | np.uint32(i)
     rank_all(nearest.key, size, nearest.rank)
     for i in range(size):
         place = np.uint64(nearest.rank[i])
-        nearest.other_distance[place] = nearest.distance[i]
+        nearest.other_measure[place] = nearest.measure[i]
         nearest.other_at[place] = nearest.at[i]
-    last, last_at = -1.0, np.uint32(0)
+    last, last_at = -np.inf, np.uint32(0)
     for i in range(size):
-        distance, at = nearest.other_distance[i], nearest.other_at[i]
+        measure, at = nearest.other_measure[i], nearest.other_at[i]
         j = np.uint64(i)
-        if _is_beyond(last, last_at, distance, at, rows):
+        if _is_beyond(last, last_at, measure, at, rows):
             while j > np.uint64(0):
                 before = j - np.uint64(1)
-                if not _is_beyond(nearest.distance[before], nearest.at[before], distance, at, rows):
+                if not _is_beyond(nearest.measure[before], nearest.at[before], measure, at, rows):
                     break
-                nearest.distance[j], nearest.at[j] = nearest.distance[before], nearest.at[before]
+                nearest.measure[j], nearest.at[j] = nearest.measure[before], nearest.at[before]
                 j = before
         else:
-            last, last_at = distance, at
-        nearest.distance[j], nearest.at[j] = distance, at
+            last, last_at = measure, at
+        nearest.measure[j], nearest.at[j] = measure, at
 
 
 @inlined

@@ -18,9 +18,14 @@ from dynahull.kernels.candidates import (
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
 from dynahull.kernels.hull import Surface, hull_volume, make_surface
-from dynahull.kernels.nearest import Nearest, make_nearest, sort_nearest
+from dynahull.kernels.nearest import Nearest, keep_nearest, make_nearest, sort_nearest
 from dynahull.kernels.tree import LEAF_SIZE, Tree, grow_tree, middle_of_leaf, point_distance
 from dynahull.kernels.walk import search_tree
+
+_DIRECTION = (0.6180339887498949, 0.7548776662466927, 0.2192059139)
+"""Hardly ever the same component for two places of a lattice that maps are quantised on."""
+
+_LONGEST_PAUSE = 63
 
 
 class Room(NamedTuple):
@@ -89,13 +94,13 @@ def solve(
     """
     nearest, points, surface = room.nearest, room.points, room.surface
     density, neighbours = results.density, results.neighbours
-    rough = True
+    waiting, pause = 0, 0
     for leaf in range(first_leaf, end_leaf):
         begin, end = leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)
         if not _any_query(tree, queries, begin, end):
             continue
         middle = middle_of_leaf(tree, leaf)
-        reach = _search_around(tree, middle, k, room)
+        reach = _reach_of_middle(tree, leaf, middle, k, room)
         leaves = _gather_around(tree, leaf, middle, k, reach, room.candidates)
         guess = reach
         for i in range(begin, end):
@@ -111,16 +116,49 @@ def solve(
                 found = search_list(
                     tree, x, y, z, k, guess, bound, room.candidates, leaves, nearest
                 )
-            sort_nearest(nearest, found, tree.rows)
-            guess = nearest.distance[k - 1]
+            guess = keep_nearest(nearest, found, k, tree.rows)
             results.squared_reach[at] = guess
             if neighbours.size:
+                for j in range(np.uint64(k)):
+                    nearest.measure[j] = nearest.distance[j]
+                sort_nearest(nearest, k, tree.rows)
                 for j in range(k):
                     neighbours[at, j] = tree.rows[nearest.at[j]]
             if density.size:
                 places = _gather_places(tree, i, k, nearest, points)
-                volume, rough = hull_volume(points, places, surface, rough)
+                volume, rough = hull_volume(points, places, surface, waiting == 0)
+                waiting, pause = _pauses(waiting, pause, rough)
                 density[at] = np.inf if volume == 0.0 else k / volume
+
+
+@inlined
+def _pauses(waiting: int, pause: int, rough: bool) -> tuple[int, int]:
+    """Return for how many neighbourhoods to leave single precision alone, and the latest pause.
+
+    Where it fails, on quantised maps, it fails for most. So each failure doubles the pause.
+    """
+    if waiting > 0:
+        return waiting - 1, pause
+    pause = 0 if rough else min(2 * pause + 1, _LONGEST_PAUSE)
+    return pause, pause
+
+
+@compiled
+def _reach_of_middle(tree: Tree, leaf: int, middle: int, k: int, room: Room) -> float:
+    """Return the squared distance of the k-th neighbour of the point in the middle of a leaf.
+
+    It lies within the farthest of the k points around it in the order of the tree.
+    """
+    x, y, z = tree.x[middle], tree.y[middle], tree.z[middle]
+    begin = max(0, min(middle - k // 2, tree.rows.size - k))
+    bound = 0.0
+    for i in range(np.uint64(begin), np.uint64(begin + k)):
+        bound = max(bound, point_distance(tree, i, x, y, z))
+    leaves = gather_candidates(tree, leaf, k, bound, room.candidates)
+    if leaves < 0:
+        return _search_around(tree, middle, k, room)
+    found = search_list(tree, x, y, z, k, bound, bound, room.candidates, leaves, room.nearest)
+    return keep_nearest(room.nearest, found, k, tree.rows)
 
 
 @compiled
@@ -150,18 +188,27 @@ def _gather_around(
 def _gather_places(tree: Tree, query: int, k: int, nearest: Nearest, points: Neighbourhood) -> int:
     """Take the places of the k nearest points relative to the query, each place once.
 
-    Only points at the same distance can share a place, and those are next to each other.
+    They come in an order that follows from the places alone: that of their components in a
+    direction of no meaning, which two places hardly ever share, and ties by row number. Only
+    points with the same component can share a place, and those are next to each other.
     """
     i = np.uint64(query)
-    count = group = np.uint64(0)
-    group_distance = -1.0
+    x, y, z = tree.x[i], tree.y[i], tree.z[i]
     for j in range(np.uint64(k)):
         near = np.uint64(nearest.at[j])
-        points.dx[count] = tree.x[near] - tree.x[i]
-        points.dy[count] = tree.y[near] - tree.y[i]
-        points.dz[count] = tree.z[near] - tree.z[i]
-        if nearest.distance[j] != group_distance:
-            group_distance, group = nearest.distance[j], count
+        nearest.measure[j] = (
+            (tree.x[near] - x) * _DIRECTION[0] + (tree.y[near] - y) * _DIRECTION[1]
+        ) + (tree.z[near] - z) * _DIRECTION[2]
+    sort_nearest(nearest, k, tree.rows)
+    count = group = np.uint64(0)
+    group_measure = np.inf
+    for j in range(np.uint64(k)):
+        near = np.uint64(nearest.at[j])
+        points.dx[count] = tree.x[near] - x
+        points.dy[count] = tree.y[near] - y
+        points.dz[count] = tree.z[near] - z
+        if nearest.measure[j] != group_measure:
+            group_measure, group = nearest.measure[j], count
         elif _is_among(points, group, count):
             continue
         count += np.uint64(1)

@@ -108,6 +108,74 @@ def point_met(
 
 
 @intrinsic
+def turns(
+    context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, inward: Any, other_inward: Any
+) -> Any:
+    """Count the points surely below a plane, and find those met turning it over two edges.
+
+    Each point's depth below the plane and its distance from an edge along the plane are computed
+    to one scale; the point met has the largest angle, so the smallest cotangent. Only points
+    surely below are met.
+
+    Parameters
+    ----------
+    x, y, z : float32 or float64 arrays
+        Coordinates in [-1, 1]; `x` is NaN from `size` to the end of the last vector.
+    size : int
+        How many.
+    plane : tuple of five floats
+        The normal, its product with a point of the plane, and the depth beyond which a point is
+        surely below.
+    inward, other_inward : tuples of four floats
+        For each edge the direction in the plane away from it, and its product with a point of it.
+
+    Returns
+    -------
+    tuple of three integers
+        The count, and the two points; these mean nothing where the count is zero.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        tag_bits = INDEX_BITS if loop.bits.width == 64 else ROUGH_INDEX_BITS
+        data = [loop.data(array) for array in arguments[:3]]
+        normal_x, normal_y, normal_z, height, least = (
+            loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[4])
+        )
+        edges = [
+            [loop.same(number) for number in cgutils.unpack_tuple(builder, argument)]
+            for argument in arguments[5:7]
+        ]
+        far, one = loop.constant(1e36), loop.constant(1.0)
+        counted = cgutils.alloca_once_value(builder, INDEX(0))
+        builder.store(INDEX(0), counted)
+        best = [cgutils.alloca_once_value(builder, far.value) for _ in edges]
+        for least_yet in best:
+            builder.store(far.value, least_yet)
+
+        def body(index: Any) -> None:
+            x, y, z = (loop.load(array, index) for array in data)
+            depth = height - (normal_x * x + normal_y * y + normal_z * z)
+            below = least < depth
+            builder.store(builder.add(builder.load(counted), loop.count(below)), counted)
+            reciprocal = one / depth
+            indices = loop.indices(index)
+            for (inward_x, inward_y, inward_z, margin), least_yet in zip(edges, best, strict=True):
+                distance = (inward_x * x + inward_y * y + inward_z * z) - margin
+                cotangent = (distance * reciprocal).where(below, far)
+                cotangent = loop.tagged(cotangent, indices, tag_bits)
+                so_far = Lanes(builder, builder.load(least_yet))
+                builder.store(cotangent.where(cotangent < so_far, so_far).value, least_yet)
+
+        loop.run(arguments[3], body)
+        met = [loop.tag_of_least(Lanes(builder, builder.load(each)), tag_bits) for each in best]
+        return context.make_tuple(builder, signature.return_type, [builder.load(counted), *met])
+
+    result = types.Tuple((types.int64, types.uint64, types.uint64))
+    return result(x, y, z, size, plane, inward, other_inward), generate
+
+
+@intrinsic
 def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
     """Count the values up to and including a limit, among the first ones.
 
@@ -163,8 +231,9 @@ def rank_all(context: Any, values: Any, size: Any, ranks: Any) -> Any:
             builder.store(zeros, counted)
             with cgutils.for_range(builder, size) as inner:
                 other = loop.same(builder.load(builder.gep(values, [inner.index])))
-                more = builder.select(other < ranked, ones, zeros)
-                builder.store(builder.add(builder.load(counted), more), counted)
+                so_far = builder.load(counted)
+                more = builder.add(so_far, ones)
+                builder.store(builder.select(other < ranked, more, so_far), counted)
             address = builder.bitcast(builder.gep(ranks, [index]), loop.bits_vector.as_pointer())
             builder.store(builder.load(counted), address, align=4)
 
@@ -185,19 +254,31 @@ def places_up_to(context: Any, values: Any, begin: Any, limit: Any) -> Any:
         Index of the first of the 32.
     limit : float
     """
+    return types.uint64(values, begin, limit), _places(lambda value, limit: limit < value)
 
+
+@intrinsic
+def places_from(context: Any, values: Any, begin: Any, limit: Any) -> Any:
+    """Return which of 32 values are at least a limit: the first in the lowest bit.
+
+    Parameters are those of `places_up_to`.
+    """
+    return types.uint64(values, begin, limit), _places(lambda value, limit: value < limit)
+
+
+def _places(is_out: Callable[[Lanes, Lanes], Any]) -> Callable[..., Any]:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
         data, begin, limit = loop.data(arguments[0]), arguments[1], loop.same(arguments[2])
         places = INDEX(0)
         for first in range(0, 32, loop.lanes):
             values = loop.load(data, builder.add(begin, INDEX(first)))
-            within = builder.bitcast(builder.not_(limit < values), ir.IntType(loop.lanes))
-            within = builder.shl(builder.zext(within, INDEX), INDEX(first))
-            places = builder.or_(places, within)
+            inside = builder.bitcast(builder.not_(is_out(values, limit)), ir.IntType(loop.lanes))
+            inside = builder.shl(builder.zext(inside, INDEX), INDEX(first))
+            places = builder.or_(places, inside)
         return places
 
-    return types.uint64(values, begin, limit), generate
+    return generate
 
 
 @intrinsic
