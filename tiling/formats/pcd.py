@@ -189,14 +189,19 @@ class PcdReader(MapReader):
 
     def _batch(self, first_row: int, records: NDArray[np.void]) -> PointBatch:
         """Make a batch of binary records."""
-        rows = records.view(np.uint8).reshape(len(records), -1)
         xyz = np.empty((len(records), 3), dtype=np.float64)
         for axis, field in enumerate(self._header.coordinates):
             start = sum(other.width for other in self._stored if other.offset < field.offset)
-            values = np.ascontiguousarray(rows[:, start : start + field.size])
+            values: NDArray[Any] = np.ndarray(
+                len(records),
+                dtype=np.dtype(field.dtype).newbyteorder("<"),
+                buffer=records,
+                offset=start,
+                strides=(records.itemsize,),
+            )
             # A signalling NaN is no reason to warn.
             with np.errstate(invalid="ignore"):
-                xyz[:, axis] = values.view(np.dtype(field.dtype).newbyteorder("<"))[:, 0]
+                xyz[:, axis] = values
         return PointBatch(first_row, xyz, records)
 
 
