@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from dynahull.hull import FLATNESS, hull_volume
 from dynahull.kernels import hull_densities
 from dynahull.kernels.exact import exact_hull_volume
-from tiling.formats import open_map
+from tiling.formats.collection import MapCollection, find_map_files
 
 Points = NDArray[np.float64]
 
@@ -216,28 +216,30 @@ def test_scale_does_not_matter(scale: float) -> None:
     assert kernel_volume(points * scale) / scale == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.fixture(scope="module")
-def map_points(shared_data: Path) -> Callable[[str], Points]:
-    def read(name: str) -> Points:
-        """At most the first 200,000 finite points of a map."""
-        batch = next(open_map(shared_data / "maps" / name).batches(200_000))
-        return batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+MAPS = [
+    "campus_cells",
+    "campus_loop.laz",
+    "corridor.pcd",
+    "lobby_a.pcd",
+    "lobby_b.pcd",
+    "lone_star.copc.laz",
+    "room_static_sensor.laz",
+    "street_64beam_labelled.laz",
+]
 
-    return read
 
-
-@pytest.mark.parametrize(
-    "name", ["corridor.pcd", "room_static_sensor.laz", "street_64beam_labelled.laz"]
-)
-def test_volumes_of_real_maps_are_those_of_qhull(name: str, map_points: Callable[[str], Points]):
-    points = map_points(name)
+@pytest.mark.parametrize("name", MAPS)
+def test_volumes_of_real_maps_are_those_of_qhull(name: str, shared_data: Path) -> None:
+    batches = MapCollection(find_map_files([shared_data / "maps" / name])).batches(100_000)
+    points = next(batches)[1].xyz
+    points = points[np.isfinite(points).all(axis=1)]
     rows = np.arange(len(points))
     chosen = np.random.default_rng(0).choice(len(points), 150, replace=False)
     queries = np.isin(rows, chosen)
     density = hull_densities(points, rows, 75, queries=queries).density
     distance, neighbours = KDTree(points).query(points[chosen], 76)
     tie_free = distance[:, 74] * (1 + 1e-9) < distance[:, 75]
-    assert tie_free.mean() > 0.3
+    assert tie_free.mean() > 0.2
     for at, around in zip(chosen[tie_free], neighbours[tie_free, :75], strict=True):
         volume = hull_volume(points[around] - points[at])
         assert density[at] == pytest.approx(75 / volume if volume else np.inf, rel=1e-9)
