@@ -145,20 +145,42 @@ def simulate_command(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the map.")
     ] = Path("simulated"),
+    scene: Annotated[
+        str | None,
+        typer.Option(metavar="SCENE", help="indoor, storeys, ramp or street. [default: indoor]"),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Seed of plan, people, noise and drift. [default: 0]"),
+    ] = None,
+    points: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Points of the map, exactly; up to a million a block."),
+    ] = None,
+    map_only: Annotated[
+        bool | None,
+        typer.Option(
+            "--map-only/--all",
+            help="Leave out the scans, the static truth and the low-activity map. "
+            "[default: --all; --map-only with --points]",
+            show_default=False,
+        ),
+    ] = None,
     settings: Settings = None,
 ) -> None:
-    """Make a small map with ghosts in it: a hall with furniture and people, seen by a robot."""
+    """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
     from pipeline.configuration import load_parameters  # noqa: PLC0415
-    from pipeline.simulation import (  # noqa: PLC0415
-        SimulationParameters,
-        simulate,
-        write_simulated_map,
-    )
+    from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.simulation import SimulationParameters, write_simulation  # noqa: PLC0415
 
-    parameters = load_parameters(SimulationParameters, None, settings or [])
-    simulated = simulate(parameters)
-    write_simulated_map(simulated, output)
-    typer.echo(f"written: {output / 'map.pcd'} and its truth beside it")
+    given = {"scene": scene, "seed": seed, "points": points}
+    options = [f"{name}={value}" for name, value in given.items() if value is not None]
+    parameters = load_parameters(SimulationParameters, None, [*(settings or []), *options])
+    map_only = parameters.points is not None if map_only is None else map_only
+    with watching() as observer:
+        observer.stage("simulate", parameters.expected_points)
+        files = write_simulation(parameters, output, map_only=map_only, advance=observer.advance)
+    typer.echo(f"written: {files.map} and its truth beside it")
 
 
 @app.command("keys")

@@ -1,21 +1,27 @@
 """A simulated LiDAR map with ghosts in it, and the truth about every point.
 
-A robot with a 16-ring LiDAR drives through an indoor floor plan where people walk, stop and queue.
-`simulate` gathers its scans into one map, as SLAM would; `write_simulated_map` puts it on disk.
+A robot with a 16-ring LiDAR drives through a building or a street where people walk, stop and
+queue, and machines drive. `simulate` gathers its scans into one map, as SLAM would;
+`simulate_scans` yields them one by one; `write_simulation` puts everything on disk as a stream.
 """
 
-from pipeline.simulation.output import SimulationFiles, write_simulated_map
+from pipeline.simulation.campus import SimulatedMap, simulate, simulate_scans
+from pipeline.simulation.output import SimulationFiles, write_simulation
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.scene import Surface
-from pipeline.simulation.simulate import SimulatedMap, SimulatedScan, simulate, simulate_scans
+from pipeline.simulation.scene import SceneKind
+from pipeline.simulation.shapes import Surface
+from pipeline.simulation.simulate import Returns, SimulatedScan, build_scene
 
 __all__ = [
+    "Returns",
+    "SceneKind",
     "SimulatedMap",
     "SimulatedScan",
     "SimulationFiles",
     "SimulationParameters",
     "Surface",
+    "build_scene",
     "simulate",
     "simulate_scans",
-    "write_simulated_map",
+    "write_simulation",
 ]

@@ -1,4 +1,8 @@
-"""How the robot and the people move: poses at given times, and straight lines between them."""
+"""How the robot, people and machines move: poses at given times, and straight lines between them.
+
+A pose is x, y and z in metres, the heading in radians, and the slope: the rise over the distance
+ahead.
+"""
 
 from dataclasses import dataclass
 
@@ -8,81 +12,105 @@ from numpy.typing import NDArray
 TURN_RATE = np.radians(90.0)
 """How fast the robot turns on the spot, in radians per second."""
 
+TILT_RATE = 0.2
+"""How fast it takes on the slope of a ramp, in rise over distance per second."""
+
 CLEARANCE = 0.9
 """How far people keep from the robot, axis to axis, in metres."""
+
+_STOREY = 2.0  # metres; nobody makes way for what is farther above or below
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A way through the floor plan, straight between known times.
+    """A way through the scene, straight between known times.
 
     Attributes
     ----------
     times : (m,) float64 array
         Ascending, in seconds.
-    states : (m, d) float64 array
-        State at each time: x and y in metres, and the heading in radians for the robot.
+    poses : (m, 5) float64 array
+        x, y, z, heading and slope at each time.
     """
 
     times: NDArray[np.float64]
-    states: NDArray[np.float64]
+    poses: NDArray[np.float64]
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the state at each of n times, (n, d); before and after, the mover stands."""
-        columns = [np.interp(times, self.times, column) for column in self.states.T]
-        return np.stack(columns, axis=1)
+        """Return the pose at each of n times, (n, 5); before and after, the mover stands."""
+        # All five columns share one search for the times.
+        after = np.searchsorted(self.times, times, side="right").clip(1, len(self.times) - 1)
+        begin, end = self.times[after - 1], self.times[after]
+        lasting = np.maximum(end - begin, 1e-12)
+        share = ((times - begin) / lasting).clip(0.0, 1.0)[:, None]
+        poses: NDArray[np.float64] = self.poses[after - 1] * (1 - share) + self.poses[after] * share
+        return poses
 
 
-def drive(route: NDArray[np.float64], speed: float, duration: float) -> Trajectory:
+def drive(
+    route: NDArray[np.float64], speed: float, duration: float, ahead: float = 0.0
+) -> Trajectory:
     """Drive along a closed route, again and again, turning on the spot at its corners.
 
     Parameters
     ----------
-    route : (m, 2) float64 array
+    route : (m, 3) float64 array
         Corners, in metres; the last leads back to the first.
     speed : float
-        In metres per second.
+        Along the ground plan, in metres per second.
     duration : float
         How long the trajectory must last, in seconds.
+    ahead : float, optional
+        Share of a lap that is done at time 0.
 
     Returns
     -------
     Trajectory
-        Of x, y and heading.
     """
     legs = np.roll(route, -1, axis=0) - route
     lengths = np.hypot(legs[:, 0], legs[:, 1])
     headings = np.arctan2(legs[:, 1], legs[:, 0])
+    slopes = legs[:, 2] / lengths
+    turns = (np.roll(headings, -1) - headings + np.pi) % (2 * np.pi) - np.pi
+    tilts = np.roll(slopes, -1) - slopes
+    pauses = np.maximum(np.abs(turns) / TURN_RATE, np.abs(tilts) / TILT_RATE)
+    done = ahead * float((lengths / speed + pauses).sum())
     time, heading, corner = 0.0, headings[0], 0
-    times, states = [time], [(*route[0], heading)]
-    while time <= duration:
-        time += lengths[corner] / speed
+    times, poses = [time], [(*route[0], heading, slopes[0])]
+    while time <= duration + done:
         following = (corner + 1) % len(route)
+        time += lengths[corner] / speed
         times.append(time)
-        states.append((*route[following], heading))
-        turn = (headings[following] - headings[corner] + np.pi) % (2 * np.pi) - np.pi
-        time += abs(turn) / TURN_RATE
-        heading += turn
+        poses.append((*route[following], heading, slopes[corner]))
+        time += pauses[corner]
+        heading += turns[corner]
         times.append(time)
-        states.append((*route[following], heading))
+        poses.append((*route[following], heading, slopes[following]))
         corner = following
-    return Trajectory(np.array(times), np.array(states))
+    return Trajectory(np.array(times) - done, np.array(poses))
 
 
-def keep_clear(people: NDArray[np.float64], robot: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Push people away from the robot, to `CLEARANCE` at least.
+def keep_clear(
+    places: NDArray[np.float64], other: NDArray[np.float64], clearance: float = CLEARANCE
+) -> NDArray[np.float64]:
+    """Push people away from something on wheels, to `clearance` at least.
 
     Parameters
     ----------
-    people : (n, p, 2) float64 array
-        Where p people would be at n times, in metres.
-    robot : (n, 2) float64 array
-        Where the robot is, in metres.
+    places : (n, p, d) float64 array, d >= 3
+        x, y, z of p people at n times, in metres; what follows them is left as it is.
+    other : (n, 3) float64 array
+        Where the other is at these times, in metres.
+    clearance : float, optional
+        In metres, axis to axis.
 
     Returns
     -------
-    (n, p, 2) float64 array
+    (n, p, d) float64 array
     """
-    apart = people - robot[:, None, :]
+    apart = places[..., :3] - other[:, None, :3]
     distance = np.maximum(np.hypot(apart[..., 0], apart[..., 1]), 1e-6)
-    return robot[:, None, :] + apart * np.maximum(1.0, CLEARANCE / distance)[..., None]
+    distance[np.abs(apart[..., 2]) > _STOREY] = np.inf
+    moved = places.copy()
+    moved[..., :2] += apart[..., :2] * np.maximum(0.0, clearance / distance - 1)[..., None]
+    return moved

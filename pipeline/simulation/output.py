@@ -1,31 +1,30 @@
-"""A simulated map on disk: the map, the truth, the poses and the parameters."""
+"""A simulation on disk: the map, the truth, the poses, the scans, and two maps to compare with."""
 
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import yaml
 
 from pipeline.errors import OutputError
-from pipeline.simulation.scene import Surface
-from pipeline.simulation.simulate import SimulatedMap
+from pipeline.simulation.campus import simulate_scans
+from pipeline.simulation.parameters import SimulationParameters
+from pipeline.simulation.products import (
+    PointCloudFile,
+    PoseFiles,
+    TruthFile,
+    point_records,
+    write_point_cloud,
+)
 
-_PCD_FIELDS: dict[str, np.dtype[Any]] = {
-    "x": np.dtype("<f4"),
-    "y": np.dtype("<f4"),
-    "z": np.dtype("<f4"),
-    "intensity": np.dtype("<f4"),
-    "time": np.dtype("<f8"),
-    "scan": np.dtype("<u4"),
-}
+_STAGING = ".simulation-partial"
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationFiles:
-    """The files of a simulated map.
+    """The files of a simulation.
 
     Attributes
     ----------
@@ -33,16 +32,30 @@ class SimulationFiles:
         The map with its ghosts: binary PCD of x, y, z, intensity, time and scan.
     truth : Path
         Parquet, one row a point in the map's order: `moving` (bool), `surface` (dictionary).
-    poses : Path
-        Estimated poses, one scan a line: the 3x4 matrix from sensor to map, row by row (KITTI).
+    poses, true_poses : Path
+        Estimated and true poses, one scan a line: the 3x4 matrix from sensor to map, row by row
+        (KITTI).
+    times : Path
+        When each scan began, in seconds, one a line (KITTI).
     parameters : Path
-        YAML of the parameters, which make the same map again.
+        YAML of the parameters, which make the same files again.
+    scans : Path
+        Folder of the scans in the sensor's frame, `000000.pcd` and so on, fields as in the map.
+    static_truth : Path
+        The map that the same drive would have given without anything that moves.
+    low_activity : Path
+        The map of another drive through the same scene, while hardly anybody was there.
     """
 
     map: Path
     truth: Path
     poses: Path
+    true_poses: Path
+    times: Path
     parameters: Path
+    scans: Path
+    static_truth: Path
+    low_activity: Path
 
     @classmethod
     def in_folder(cls, folder: Path) -> "SimulationFiles":
@@ -51,83 +64,128 @@ class SimulationFiles:
             map=folder / "map.pcd",
             truth=folder / "truth.parquet",
             poses=folder / "poses.txt",
+            true_poses=folder / "poses_true.txt",
+            times=folder / "times.txt",
             parameters=folder / "simulation.yaml",
+            scans=folder / "scans",
+            static_truth=folder / "static_truth.pcd",
+            low_activity=folder / "low_activity.pcd",
         )
 
+    def besides_map(self) -> tuple[Path, ...]:
+        """Return every file but the map and the scans."""
+        return (
+            self.truth, self.poses, self.true_poses, self.times, self.parameters,
+            self.static_truth, self.low_activity,
+        )  # fmt: skip
 
-def write_simulated_map(simulated: SimulatedMap, folder: Path) -> SimulationFiles:
-    """Write a simulated map into a folder, which is made if need be.
+
+def write_simulation(
+    parameters: SimulationParameters,
+    folder: Path,
+    *,
+    map_only: bool = False,
+    advance: Callable[[int], None] = lambda points: None,
+) -> SimulationFiles:
+    """Simulate, and write into a folder as a stream, in memory that does not grow with the map.
 
     Parameters
     ----------
-    simulated : SimulatedMap
+    parameters : SimulationParameters
     folder : Path
-        Files in it of the same names are replaced.
+        Made if need be. What an earlier simulation left in it is replaced.
+    map_only : bool, optional
+        Leave out the scans, the static truth and the low-activity map.
+    advance : callable, optional
+        Told of the points of the map as they are made.
 
     Returns
     -------
     SimulationFiles
-        The map is renamed into place last: where it is, the rest is complete.
+        All appear when all are complete, the map last.
 
     Raises
     ------
     OutputError
         When the folder cannot be made or written.
+    ConfigurationError
+        When the parameters leave the sensor nothing to see.
     """
     folder = Path(folder)
-    files = SimulationFiles.in_folder(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_all(simulated, files)
+        with _staged(folder) as staging:
+            files = SimulationFiles.in_folder(staging)
+            settings = parameters.model_dump(mode="json")
+            text = yaml.safe_dump(settings, sort_keys=False)
+            files.parameters.write_text(text, encoding="utf-8")
+            _write_drive(parameters, files, map_only, advance)
+            if not map_only:
+                _write_low_activity(parameters, files)
     except OSError as error:
         raise OutputError(
             f"{folder}: expected a folder to write in, found {error.strerror or error}"
         ) from error
-    return files
+    return SimulationFiles.in_folder(folder)
 
 
-def _write_all(simulated: SimulatedMap, files: SimulationFiles) -> None:
-    """Write the four files, the map last."""
+def _write_drive(
+    parameters: SimulationParameters,
+    files: SimulationFiles,
+    map_only: bool,
+    advance: Callable[[int], None],
+) -> None:
+    """Write all that comes from the drive itself."""
+    with ExitStack() as stack:
+        cloud = stack.enter_context(PointCloudFile(files.map))
+        truth = stack.enter_context(TruthFile(files.truth))
+        poses = stack.enter_context(PoseFiles(files.poses, files.true_poses, files.times))
+        static = None if map_only else stack.enter_context(PointCloudFile(files.static_truth))
+        if not map_only:
+            files.scans.mkdir()
+        for scan in simulate_scans(parameters):
+            returns = scan.returns
+            cloud.append(point_records(returns.xyz, returns, scan.number))
+            truth.append(returns)
+            poses.append(scan)
+            if static is not None:
+                seen = scan.static_returns
+                static.append(point_records(seen.xyz, seen, scan.number))
+                own = point_records(scan.in_sensor_frame(), returns, scan.number)
+                write_point_cloud(files.scans / f"{scan.number:06d}.pcd", own)
+            advance(len(returns))
+
+
+def _write_low_activity(parameters: SimulationParameters, files: SimulationFiles) -> None:
+    """Write the map of a drive while hardly anybody is there."""
+    with PointCloudFile(files.low_activity) as cloud:
+        for scan in simulate_scans(parameters.low_activity()):
+            cloud.append(point_records(scan.returns.xyz, scan.returns, scan.number))
+
+
+@contextmanager
+def _staged(folder: Path) -> Iterator[Path]:
+    """Give an empty folder to write in, whose files replace those of an earlier simulation."""
+    staging = folder / _STAGING
+    shutil.rmtree(staging, ignore_errors=True)
+    staging.mkdir(parents=True)
+    try:
+        yield staging
+        _remove_earlier(SimulationFiles.in_folder(folder))
+        written = [path for path in sorted(staging.rglob("*")) if path.is_file()]
+        for path in sorted(written, key=lambda path: path.name == "map.pcd"):
+            place = folder / path.relative_to(staging)
+            place.parent.mkdir(exist_ok=True)
+            path.replace(place)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _remove_earlier(files: SimulationFiles) -> None:
+    """Remove what an earlier simulation left, the map first, and no other file."""
     files.map.unlink(missing_ok=True)
-    settings = simulated.parameters.model_dump()
-    files.parameters.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
-    np.savetxt(files.poses, simulated.estimated_poses.reshape(-1, 12), fmt="%.9f")
-    pq.write_table(_truth_table(simulated), files.truth)
-    partial = files.map.with_suffix(".pcd.partial")
-    _write_pcd(simulated, partial)
-    partial.replace(files.map)
-
-
-def _truth_table(simulated: SimulatedMap) -> pa.Table:
-    """Return what is true of each point, one row a point."""
-    titles = pa.array([surface.title for surface in Surface])
-    return pa.table(
-        {
-            "moving": pa.array(simulated.moving.astype(bool)),
-            "surface": pa.DictionaryArray.from_arrays(pa.array(simulated.surface), titles),
-        }
-    )
-
-
-def _write_pcd(simulated: SimulatedMap, path: Path) -> None:
-    """Write the points as binary PCD 0.7 (the Point Cloud Library's format)."""
-    records = np.empty(len(simulated.xyz), dtype=list(_PCD_FIELDS.items()))
-    records["x"], records["y"], records["z"] = simulated.xyz.T
-    for name in ("intensity", "time", "scan"):
-        records[name] = getattr(simulated, name)
-    header = (
-        "# .PCD v0.7 - Point Cloud Data file format",
-        "VERSION 0.7",
-        "FIELDS " + " ".join(_PCD_FIELDS),
-        "SIZE " + " ".join(str(column.itemsize) for column in _PCD_FIELDS.values()),
-        "TYPE " + " ".join(column.kind.upper() for column in _PCD_FIELDS.values()),
-        "COUNT " + " ".join("1" for _ in _PCD_FIELDS),
-        f"WIDTH {len(records)}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(records)}",
-        "DATA binary",
-    )
-    with path.open("wb") as file:
-        file.write(("\n".join(header) + "\n").encode("ascii"))
-        file.write(records.tobytes())
+    for file in files.besides_map():
+        file.unlink(missing_ok=True)
+    for scan in files.scans.glob("[0-9]*[0-9].pcd"):
+        scan.unlink()
+    if files.scans.is_dir() and not any(files.scans.iterdir()):
+        files.scans.rmdir()

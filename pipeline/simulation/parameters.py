@@ -1,20 +1,53 @@
 """What a simulation can be told."""
 
+from typing import Self
+
 from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.simulation.scene import SceneKind
+
+RINGS = 16
+"""Lasers of the sensor."""
+
+POINTS_OF_A_BLOCK = 1_000_000
+"""Most points that one block of scene gives to a map of a given size."""
 
 
 class SimulationParameters(BaseModel):
-    """The sensor, the drive and the people of a simulation.
+    """The scene, the sensor, the drive and what moves.
 
     The defaults are a Velodyne VLP-16 (16 rings over 30 degrees, 10 Hz) whose rotations are thinned
-    in azimuth and in time to a map of about 190 thousand points.
+    in azimuth and in time to a map of about 190 thousand points. `azimuth_step=0.2
+    rotations_per_scan=1` is the sensor as it is.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    seed: int = Field(0, ge=0, description="Seed of the people, the noise and the drift.")
+    scene: SceneKind = Field(
+        SceneKind.INDOOR,
+        description="`indoor`: one floor of 750 square metres. `storeys`: two floors and a ramp. "
+        "`ramp`: a hall with a platform and a ramp. `street`: 120 m of street over a hill.",
+    )
+    seed: int = Field(
+        0, ge=0, description="Seed of the floor plan, all that moves, the noise and the drift."
+    )
+    drive: int = Field(
+        0,
+        ge=0,
+        description="Number of the drive: another one goes through the same scene, with other "
+        "people, noise and drift.",
+    )
+    points: int | None = Field(
+        None,
+        ge=1,
+        description="Points of the map, exactly. Blocks of scene with up to a million points each "
+        "are put side by side, and `azimuth_step` is chosen to fit. Without it, the map is one "
+        "block and has what the scans give.",
+    )
 
-    scans: int = Field(700, ge=1, description="Scans that enter the map.")
+    scans: int = Field(
+        700, ge=1, description="Scans that enter the map from each block; about, with `points`."
+    )
     rotations_per_scan: int = Field(
         4, ge=1, description="Rotations of the sensor from one scan of the map to the next."
     )
@@ -44,8 +77,14 @@ class SimulationParameters(BaseModel):
         0.1, ge=0, description="Standard deviation of the estimated heading, in degrees."
     )
 
-    walkers: int = Field(10, ge=0, description="People who walk and stop about the building.")
+    walkers: int = Field(10, ge=0, description="People who walk and stop, in each block.")
     queuers: int = Field(4, ge=0, le=6, description="People in the queue at the counter.")
+    machines: int = Field(
+        2,
+        ge=0,
+        le=4,
+        description="Forklifts and automated vehicles indoors, cars and bicycles on the street.",
+    )
     glass: bool = Field(
         True, description="Whether panes let rays pass; otherwise they are solid walls."
     )
@@ -56,6 +95,16 @@ class SimulationParameters(BaseModel):
         return self.rotations_per_scan / self.rotation_rate
 
     @property
-    def duration(self) -> float:
-        """Time from the first scan to the end of the last rotation, in seconds."""
-        return (self.scans - 1) * self.scan_interval + 1 / self.rotation_rate
+    def columns(self) -> int:
+        """Firings of each ring in a rotation."""
+        return round(360.0 / self.azimuth_step)
+
+    @property
+    def expected_points(self) -> int:
+        """Points of the map: exactly, or as many as there would be were every ray returned."""
+        return self.points or self.scans * self.columns * RINGS
+
+    def low_activity(self) -> Self:
+        """Return another drive through the same scene while only two people walk about."""
+        quiet = {"drive": self.drive + 1, "walkers": min(self.walkers, 2)}
+        return self.model_copy(update={**quiet, "queuers": 0, "machines": 0})

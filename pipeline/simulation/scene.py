@@ -1,171 +1,147 @@
-"""What rays can meet, axis-aligned boxes and upright cylinders, and at which exact distance.
+"""A scene: all that stands still, and the ways that people, machines and the robot take.
 
-Both bodies are convex: a ray is inside one for a single interval of its length, the intersection
-of one interval for each pair of parallel faces and one for the mantle (the slab method of Kay and
-Kajiya, "Ray tracing complex scenes", SIGGRAPH 1986).
+All lengths are in metres.
 """
 
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Self, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-Interval: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Distances at which each of n rays enters and leaves each of m bodies, two (n, m) arrays; a ray
-that misses a body leaves it before it enters."""
-
-_ALMOST_ZERO = 1e-30  # stands in for a direction component of 0, which cannot be divided by
+from pipeline.simulation.shapes import Shapes
 
 
-class Surface(IntEnum):
-    """The kind of thing a point lies on."""
+class SceneKind(StrEnum):
+    """The scenes that can be simulated."""
 
-    FLOOR = 0
-    WALL = 1
-    CEILING = 2
-    FURNITURE = 3
-    PERSON = 4
-
-    @property
-    def title(self) -> str:
-        """The name used in files: `floor`, `wall` and so on."""
-        return self.name.lower()
+    INDOOR = "indoor"
+    STOREYS = "storeys"
+    RAMP = "ramp"
+    STREET = "street"
 
 
-MOVING_SURFACES = (Surface.PERSON,)
-"""The kinds of thing that move: a map without ghosts has no point on them."""
+class MachineKind(StrEnum):
+    """The machines and vehicles that drive about."""
+
+    FORKLIFT = "forklift"
+    AGV = "agv"
+    CAR = "car"
+    BICYCLE = "bicycle"
 
 
 @dataclass(frozen=True, slots=True)
-class Boxes:
-    """Solid boxes with faces along the axes.
+class Place:
+    """A place that people walk to.
 
     Attributes
     ----------
-    lower, upper : (m, 3) float64 array
-        Opposite corners, in metres.
-    surface : (m,) uint8 array
-        `Surface` of each box.
+    x, y : float
+        Its middle.
+    freedom : float
+        How far from the middle, along each axis, people may pass or stand.
+    z : float
+        Height of the floor.
     """
 
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    surface: NDArray[np.uint8]
+    x: float
+    y: float
+    freedom: float
+    z: float = 0.0
 
-    def intersect(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Interval:
-        """Return where each ray enters and leaves each box."""
-        enter, leave = _between_planes(
-            origins[:, 0], directions[:, 0], self.lower[:, 0], self.upper[:, 0]
+
+@dataclass(frozen=True, slots=True)
+class Walkways:
+    """Where people walk.
+
+    Attributes
+    ----------
+    places : tuple of Place
+        Where they turn, pass or stop.
+    ways : tuple of tuple of int
+        For each place, the places that can be reached from it in a straight line.
+    """
+
+    places: tuple[Place, ...]
+    ways: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def along(cls, places: Mapping[str, Place], lines: Sequence[Sequence[str]]) -> "Walkways":
+        """Join places by lines from name to name."""
+        number = {name: index for index, name in enumerate(places)}
+        ways: list[list[int]] = [[] for _ in places]
+        for line in lines:
+            for here, there in pairwise(line):
+                ways[number[here]].append(number[there])
+                ways[number[there]].append(number[here])
+        return cls(tuple(places.values()), tuple(map(tuple, ways)))
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """All that stands still, and where one can go.
+
+    Attributes
+    ----------
+    shapes : Shapes
+        Everything solid.
+    walkways : Walkways
+        Where people walk.
+    queue : (s, 3) float64 array
+        Slots of the queue, from the counter to its end.
+    queue_return : (m, 3) float64 array
+        Corners of the way from the counter back to the end of the queue.
+    robot_route : (m, 3) float64 array
+        Corners of the closed route of the robot, on the floor.
+    machine_route : (m, 3) float64 array
+        Corners of the closed route of the machines.
+    machines : tuple of MachineKind
+        Which machines drive, in turn.
+    machine_speed : float
+        In metres per second.
+    size : (length, width)
+        Along x and y from 0.
+    gap : float
+        Space to the next scene of its kind.
+    """
+
+    shapes: Shapes
+    walkways: Walkways
+    queue: NDArray[np.float64]
+    queue_return: NDArray[np.float64]
+    robot_route: NDArray[np.float64]
+    machine_route: NDArray[np.float64]
+    machines: tuple[MachineKind, ...]
+    machine_speed: float
+    size: tuple[float, float]
+    gap: float = 6.0
+
+    def mirrored(self, axis: int) -> "Scene":
+        """Swap left and right along x (axis 0) or y (axis 1), within the size."""
+        length = self.size[axis]
+
+        def turned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            swapped = points.copy()
+            swapped[:, axis] = length - points[:, axis]
+            return swapped
+
+        places = tuple(
+            replace(place, x=length - place.x) if axis == 0 else replace(place, y=length - place.y)
+            for place in self.walkways.places
         )
-        for axis in (1, 2):
-            near, far = _between_planes(
-                origins[:, axis], directions[:, axis], self.lower[:, axis], self.upper[:, axis]
-            )
-            np.maximum(enter, near, out=enter)
-            np.minimum(leave, far, out=leave)
-        return enter, leave
-
-
-@dataclass(frozen=True, slots=True)
-class Cylinders:
-    """Solid upright cylinders, which may stand elsewhere for each ray.
-
-    Attributes
-    ----------
-    centre : (1, m, 2) or (n, m, 2) float64 array
-        x and y of the axes, in metres: the same for all rays, or for each of n rays.
-    radius, bottom, top : (m,) float64 array
-        In metres.
-    surface : (m,) uint8 array
-        `Surface` of each cylinder.
-    """
-
-    centre: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    bottom: NDArray[np.float64]
-    top: NDArray[np.float64]
-    surface: NDArray[np.uint8]
-
-    def intersect(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Interval:
-        """Return where each ray enters and leaves each cylinder.
-
-        The mantle is met where ``|o + t d - c|^2 = r^2`` in the xy plane, a quadratic in t.
-        """
-        enter, leave = _between_planes(origins[:, 2], directions[:, 2], self.bottom, self.top)
-        x = origins[:, None, 0] - self.centre[..., 0]
-        y = origins[:, None, 1] - self.centre[..., 1]
-        along_x, along_y = directions[:, None, 0], directions[:, None, 1]
-        a = np.maximum(along_x**2 + along_y**2, _ALMOST_ZERO)
-        half_b = x * along_x + y * along_y
-        c = x**2 + y**2 - self.radius**2
-        discriminant = half_b**2 - a * c
-        missed = discriminant < 0
-        root = np.sqrt(np.where(missed, 0.0, discriminant))
-        np.maximum(enter, np.where(missed, np.inf, (-half_b - root) / a), out=enter)
-        np.minimum(leave, np.where(missed, -np.inf, (-half_b + root) / a), out=leave)
-        return enter, leave
-
-
-@dataclass(frozen=True, slots=True)
-class Hits:
-    """What each of n rays meets first.
-
-    Attributes
-    ----------
-    distance : (n,) float64 array
-        In metres; infinite where the ray meets nothing.
-    surface : (n,) uint8 array
-        `Surface` that is met; without meaning where `distance` is infinite.
-    """
-
-    distance: NDArray[np.float64]
-    surface: NDArray[np.uint8]
-
-    def nearer(self, other: Self) -> "Hits":
-        """Return the nearer hit of each ray."""
-        behind = other.distance < self.distance
-        return Hits(
-            np.where(behind, other.distance, self.distance),
-            np.where(behind, other.surface, self.surface),
+        return replace(
+            self,
+            shapes=self.shapes.mirrored(axis, length),
+            walkways=Walkways(places, self.walkways.ways),
+            queue=turned(self.queue),
+            queue_return=turned(self.queue_return),
+            robot_route=turned(self.robot_route),
+            machine_route=turned(self.machine_route),
         )
 
 
-def first_hits(
-    bodies: Boxes | Cylinders, origins: NDArray[np.float64], directions: NDArray[np.float64]
-) -> Hits:
-    """Cast rays at solid bodies.
-
-    Parameters
-    ----------
-    bodies : Boxes or Cylinders
-        Any number of them, none among them.
-    origins : (n, 3) float64 array
-        Where the rays begin, in metres. A body around a ray's origin is not seen by that ray.
-    directions : (n, 3) float64 array
-        Unit vectors.
-
-    Returns
-    -------
-    Hits
-    """
-    if len(bodies.surface) == 0:
-        return Hits(np.full(len(origins), np.inf), np.zeros(len(origins), dtype=np.uint8))
-    enter, leave = bodies.intersect(origins, directions)
-    distance = np.where((enter <= leave) & (enter > 0), enter, np.inf)
-    first = distance.argmin(axis=1)
-    return Hits(distance[np.arange(len(origins)), first], bodies.surface[first])
-
-
-def _between_planes(
-    origin: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-) -> Interval:
-    """Return where n rays are between m pairs of planes across one axis."""
-    nonzero = np.where(np.abs(direction) < _ALMOST_ZERO, _ALMOST_ZERO, direction)[:, None]
-    to_lower = (lower - origin[:, None]) / nonzero
-    to_upper = (upper - origin[:, None]) / nonzero
-    return np.minimum(to_lower, to_upper), np.maximum(to_lower, to_upper)
+def on_floor(corners: Sequence[Sequence[float]], height: float = 0.0) -> NDArray[np.float64]:
+    """Return (m, 3) corners of a way from (x, y), at the floor's height, or from (x, y, z)."""
+    return np.array([(*corner[:2], corner[2] if len(corner) > 2 else height) for corner in corners])

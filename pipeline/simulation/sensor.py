@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.scene import Surface
+from pipeline.simulation.parameters import RINGS, SimulationParameters
+from pipeline.simulation.shapes import Surface
 
-RING_ELEVATIONS = np.radians(np.linspace(-15.0, 15.0, 16))
+RING_ELEVATIONS = np.radians(np.linspace(-15.0, 15.0, RINGS))
 """Angle of each ring above the horizon, in radians."""
 
 _REFLECTIVITY = np.zeros(len(Surface))
@@ -21,34 +21,42 @@ _REFLECTIVITY[Surface.WALL] = 60.0
 _REFLECTIVITY[Surface.CEILING] = 75.0
 _REFLECTIVITY[Surface.FURNITURE] = 40.0
 _REFLECTIVITY[Surface.PERSON] = 30.0
+_REFLECTIVITY[Surface.MACHINE] = 50.0
+_REFLECTIVITY[Surface.VEHICLE] = 55.0
+_REFLECTIVITY[Surface.VEGETATION] = 45.0
 _REFLECTIVITY_SPREAD = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """One turn of the sensor, ray by ray in the order of firing.
+    """One turn of the sensor: c firings of all rings, n = 16 c rays in the order of firing.
 
     Attributes
     ----------
-    delay : (n,) float64 array
-        Time since the turn began, in seconds.
+    delay : (c,) float64 array
+        Time of each firing since the turn began, in seconds.
+    firings : (n,) int64 array
+        The firing each ray belongs to.
     directions : (n, 3) float64 array
         Unit vectors in the sensor's frame: x forward, y left, z up.
     """
 
     delay: NDArray[np.float64]
+    firings: NDArray[np.int64]
     directions: NDArray[np.float64]
 
 
-def rotation(parameters: SimulationParameters, random: np.random.Generator) -> Rotation:
+def rotation(
+    parameters: SimulationParameters, columns: int, random: np.random.Generator
+) -> Rotation:
     """Turn the sensor once; the azimuth of the first firing is random, as its motor is free."""
-    columns = round(360.0 / parameters.azimuth_step)
     share = (np.arange(columns) + random.random()) / columns
     azimuth = np.repeat(2 * np.pi * share, len(RING_ELEVATIONS))
     elevation = np.tile(RING_ELEVATIONS, columns)
     level = np.cos(elevation)
     return Rotation(
-        delay=np.repeat(share, len(RING_ELEVATIONS)) / parameters.rotation_rate,
+        delay=share / parameters.rotation_rate,
+        firings=np.repeat(np.arange(columns), len(RING_ELEVATIONS)),
         directions=np.stack(
             [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
         ),
@@ -56,17 +64,26 @@ def rotation(parameters: SimulationParameters, random: np.random.Generator) -> R
 
 
 def measured_ranges(
-    distance: NDArray[np.float64], parameters: SimulationParameters, random: np.random.Generator
+    distance: NDArray[np.float64], noise: NDArray[np.float64], parameters: SimulationParameters
 ) -> NDArray[np.float64]:
-    """Return true distances as the sensor reports them, NaN where it reports none; in metres."""
-    ranges = distance + random.normal(0.0, parameters.range_noise, len(distance))
+    """Return true distances as the sensor reports them, NaN where it reports none; in metres.
+
+    Parameters
+    ----------
+    distance : (n,) float64 array
+        Infinite where a ray meets nothing.
+    noise : (n,) float64 array
+        Standard normal.
+    parameters : SimulationParameters
+    """
+    ranges = distance + noise * parameters.range_noise
     if parameters.range_resolution:
         ranges = np.round(ranges / parameters.range_resolution) * parameters.range_resolution
     within = (distance >= parameters.min_range) & (distance <= parameters.max_range)
     return np.where(within, ranges, np.nan)
 
 
-def intensities(surface: NDArray[np.uint8], random: np.random.Generator) -> NDArray[np.float32]:
+def intensities(surface: NDArray[np.uint8], noise: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the calibrated reflectivity of each return, a whole number from 0 to 255."""
-    spread = random.normal(0.0, _REFLECTIVITY_SPREAD, len(surface))
+    spread = noise * _REFLECTIVITY_SPREAD
     return np.clip(np.round(_REFLECTIVITY[surface] + spread), 0, 255).astype(np.float32)

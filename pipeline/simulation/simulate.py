@@ -1,23 +1,45 @@
-"""The simulation: scans taken along the drive, gathered into one map."""
+"""The simulation of one block of scene: scans taken along a drive through it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.indoor import indoor_floor_plan
-from pipeline.simulation.motion import drive
+from pipeline.simulation.indoor import indoor_scene
+from pipeline.simulation.motion import Trajectory, drive
+from pipeline.simulation.movers import Movers, populate
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.people import populate
-from pipeline.simulation.poses import drift, pose_matrix, to_map, to_sensor, turned
-from pipeline.simulation.scene import MOVING_SURFACES, first_hits
+from pipeline.simulation.poses import Drift, pose_matrix, rotations, to_map, to_sensor
+from pipeline.simulation.ramp import ramp_scene
+from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
+from pipeline.simulation.scene import Scene, SceneKind
 from pipeline.simulation.sensor import intensities, measured_ranges, rotation
+from pipeline.simulation.storeys import storeys_scene
+from pipeline.simulation.street import street_scene
+
+_SCENES = {
+    SceneKind.INDOOR: indoor_scene,
+    SceneKind.STOREYS: storeys_scene,
+    SceneKind.RAMP: ramp_scene,
+    SceneKind.STREET: street_scene,
+}
+
+
+class Stream(IntEnum):
+    """Streams of random numbers of their own, so that more people, say, change no noise."""
+
+    SCENE = 0
+    MOVERS = 1
+    DRIFT = 2
+    SENSOR = 3
+    TRIAL = 4
 
 
 @dataclass(frozen=True, slots=True)
-class SimulatedScan:
-    """One scan of n returns, free of motion distortion, as after perfect deskewing.
+class Returns:
+    """n points of one scan.
 
     Attributes
     ----------
@@ -26,129 +48,210 @@ class SimulatedScan:
     intensity : (n,) float32 array
         Calibrated reflectivity, 0 to 255.
     time : (n,) float64 array
-        Since the drive began, in seconds.
+        In seconds, ascending.
     surface : (n,) uint8 array
         `Surface` each point lies on.
-    true_pose, estimated_pose : (3, 4) float64 array
-        From the sensor's frame to the map's, at the beginning of the scan.
+    moving : (n,) bool array
+        Whether each point lies on something that moves: a ghost.
     """
 
     xyz: NDArray[np.float64]
     intensity: NDArray[np.float32]
     time: NDArray[np.float64]
     surface: NDArray[np.uint8]
-    true_pose: NDArray[np.float64]
-    estimated_pose: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.surface)
+
+    def first(self, count: int) -> "Returns":
+        """Return the first points only."""
+        return Returns(
+            self.xyz[:count],
+            self.intensity[:count],
+            self.time[:count],
+            self.surface[:count],
+            self.moving[:count],
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class SimulatedMap:
-    """A map of n points from s scans, and the truth about it.
+class SimulatedScan:
+    """One scan, free of motion distortion, as after perfect deskewing.
 
     Attributes
     ----------
-    parameters : SimulationParameters
-        What made it.
-    xyz : (n, 3) float32 array
-        In metres; the floor is at z = 0.
-    intensity : (n,) float32 array
-        Calibrated reflectivity, 0 to 255.
-    time : (n,) float64 array
-        Since the drive began, in seconds.
-    scan : (n,) uint32 array
-        The scan that saw the point.
-    moving : (n,) uint8 array
-        1 where the point lies on something that moves: a ghost.
-    surface : (n,) uint8 array
-        `Surface` the point lies on.
-    true_poses, estimated_poses : (s, 3, 4) float64 array
-        From the sensor's frame to the map's, at the beginning of each scan.
+    number : int
+        In the order of the map, from 0.
+    start : float
+        When the rotation began, in seconds.
+    returns : Returns
+        What the sensor saw.
+    static_returns : Returns
+        What it would have seen at the same time, with the same noise and drift, had nothing moved
+        been there.
+    true_pose, estimated_pose : (3, 4) float64 array
+        From the sensor's frame to the map's, at the beginning of the scan.
     """
 
-    parameters: SimulationParameters
-    xyz: NDArray[np.float32]
-    intensity: NDArray[np.float32]
-    time: NDArray[np.float64]
-    scan: NDArray[np.uint32]
-    moving: NDArray[np.uint8]
-    surface: NDArray[np.uint8]
-    true_poses: NDArray[np.float64]
-    estimated_poses: NDArray[np.float64]
+    number: int
+    start: float
+    returns: Returns
+    static_returns: Returns
+    true_pose: NDArray[np.float64]
+    estimated_pose: NDArray[np.float64]
+
+    def in_sensor_frame(self) -> NDArray[np.float64]:
+        """Return the points as the sensor saw them, (n, 3)."""
+        return to_sensor(self.estimated_pose, self.returns.xyz)
+
+    def first(self, count: int) -> "SimulatedScan":
+        """Return the scan as if it had ended after so many points."""
+        returns = self.returns.first(count)
+        seen = np.searchsorted(self.static_returns.time, returns.time[-1], side="right")
+        return replace(self, returns=returns, static_returns=self.static_returns.first(int(seen)))
+
+    def moved(self, number: int, seconds: float, metres: NDArray[np.float64]) -> "SimulatedScan":
+        """Return the scan as one of a later number, later by `seconds`, elsewhere by `metres`."""
+
+        def shifted(returns: Returns) -> Returns:
+            return replace(returns, xyz=returns.xyz + metres, time=returns.time + seconds)
+
+        offset = np.column_stack([np.zeros((3, 3)), metres])
+        return SimulatedScan(
+            number=self.number + number,
+            start=self.start + seconds,
+            returns=shifted(self.returns),
+            static_returns=shifted(self.static_returns),
+            true_pose=self.true_pose + offset,
+            estimated_pose=self.estimated_pose + offset,
+        )
 
 
-def simulate(parameters: SimulationParameters) -> SimulatedMap:
-    """Drive through the building and gather every scan into one map.
+def build_scene(parameters: SimulationParameters, block: int = 0) -> Scene:
+    """Build one block of the scene: the same for every drive."""
+    random = random_stream(parameters, block, Stream.SCENE)
+    return _SCENES[parameters.scene](random, parameters.glass)
+
+
+def random_stream(
+    parameters: SimulationParameters, block: int, stream: Stream
+) -> np.random.Generator:
+    """Return the random numbers of one purpose, in one block, for one drive."""
+    drive_number = 0 if stream is Stream.SCENE else parameters.drive
+    key = (block, drive_number, int(stream))
+    return np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
+
+
+class Drive:
+    """A drive through one block of the scene: whoever is there, and the robot's way.
 
     Parameters
     ----------
     parameters : SimulationParameters
-
-    Returns
-    -------
-    SimulatedMap
-        The same, bit for bit, for the same parameters.
+    block : int, optional
+        Number of the block.
+    duration : float
+        How long all keep moving, in seconds; what comes after finds everybody standing.
     """
-    scans = list(simulate_scans(parameters))
-    surface = np.concatenate([scan.surface for scan in scans])
-    return SimulatedMap(
-        parameters=parameters,
-        xyz=np.concatenate([scan.xyz for scan in scans]).astype(np.float32),
-        intensity=np.concatenate([scan.intensity for scan in scans]),
-        time=np.concatenate([scan.time for scan in scans]),
-        scan=np.repeat(
-            np.arange(len(scans), dtype=np.uint32), [len(scan.surface) for scan in scans]
-        ),
-        moving=np.isin(surface, MOVING_SURFACES).astype(np.uint8),
-        surface=surface,
-        true_poses=np.stack([scan.true_pose for scan in scans]),
-        estimated_poses=np.stack([scan.estimated_pose for scan in scans]),
-    )
 
+    def __init__(
+        self, parameters: SimulationParameters, block: int = 0, duration: float | None = None
+    ) -> None:
+        if duration is None:
+            duration = parameters.scans * parameters.scan_interval
+        self.parameters = parameters
+        self.block = block
+        self.scene = build_scene(parameters, block)
+        self.robot: Trajectory = drive(self.scene.robot_route, parameters.robot_speed, duration)
+        self.movers: Movers = populate(
+            self.scene,
+            parameters.walkers,
+            parameters.queuers,
+            parameters.machines,
+            duration,
+            random_stream(parameters, block, Stream.MOVERS),
+        )
 
-def simulate_scans(parameters: SimulationParameters) -> Iterator[SimulatedScan]:
-    """Yield the scans of the drive one by one, each as it enters the map.
+    def scans(
+        self, columns: int, *, every: int = 1, stream: Stream = Stream.SENSOR
+    ) -> Iterator[SimulatedScan]:
+        """Yield the scans of the drive one by one, without end.
 
-    Every ray is cast from where the robot is at the moment it fires, at people where they are at
-    that moment. The error of the pose displaces a scan as a whole.
-    """
-    # Streams of their own, so that more people, say, change neither the noise nor the drift.
-    seeds = np.random.SeedSequence(parameters.seed).spawn(3)
-    people_random, drift_random, sensor_random = map(np.random.default_rng, seeds)
-    plan = indoor_floor_plan(parameters.glass)
-    robot = drive(plan.robot_route, parameters.robot_speed, parameters.duration)
-    people = populate(
-        plan, parameters.walkers, parameters.queuers, parameters.duration, people_random
-    )
-    for number, error in enumerate(drift(parameters, drift_random)):
-        turn = rotation(parameters, sensor_random)
-        time = number * parameters.scan_interval + turn.delay
-        states = robot.at(time)
-        position, heading = _sensor_pose(states, parameters.sensor_height)
-        directions = turned(turn.directions, heading)
-        hits = first_hits(plan.boxes, position, directions)
-        for cylinders in (plan.cylinders, people.at(time, states[:, :2])):
-            hits = hits.nearer(first_hits(cylinders, position, directions))
+        Every ray is cast from where the robot is at the moment it fires, at people where they are
+        at that moment. The error of the pose displaces a scan as a whole.
 
-        ranges = measured_ranges(hits.distance, parameters, sensor_random)
-        returned = np.isfinite(ranges)
-        seen = (position + ranges[:, None] * directions)[returned]
-        start = robot.at(np.array([number * parameters.scan_interval]))
-        (origin,), (facing,) = _sensor_pose(start, parameters.sensor_height)
-        true_pose = pose_matrix(origin, facing)
-        estimated_pose = pose_matrix(origin + error[:3], facing + error[3])
-        yield SimulatedScan(
-            xyz=to_map(estimated_pose, to_sensor(true_pose, seen)),
-            intensity=intensities(hits.surface[returned], sensor_random),
-            time=time[returned],
-            surface=hits.surface[returned],
+        Parameters
+        ----------
+        columns : int
+            Firings of each ring in a rotation.
+        every : int, optional
+            Scans of the map from one that is yielded to the next.
+        stream : Stream, optional
+            The random numbers of the sensor.
+        """
+        sensor_random = random_stream(self.parameters, self.block, stream)
+        drift = Drift(self.parameters, random_stream(self.parameters, self.block, Stream.DRIFT))
+        number = 0
+        while True:
+            yield self._scan(number, columns, drift.step(), sensor_random)
+            number += every
+
+    def _scan(
+        self,
+        number: int,
+        columns: int,
+        error: NDArray[np.float64],
+        random: np.random.Generator,
+    ) -> SimulatedScan:
+        """Turn the sensor once."""
+        parameters = self.parameters
+        turn = rotation(parameters, columns, random)
+        range_noise = random.standard_normal(len(turn.firings))
+        intensity_noise = random.standard_normal(len(turn.firings))
+        start = number * parameters.scan_interval
+        times = start + turn.delay
+        robot = self.robot.at(np.append(times, start))
+        up = np.array([0.0, 0.0, parameters.sensor_height])
+        robot_turns = rotations(robot[:, 3], robot[:, 4])
+        eyes = robot[:, :3] + robot_turns @ up
+        origins = eyes[turn.firings]
+        directions = np.einsum("nij,nj->ni", robot_turns[turn.firings], turn.directions)
+        still = first_hits(self.scene.shapes, origins, directions)
+        moving = first_moving_hits(
+            self.movers.shapes,
+            self.movers.starts,
+            self.movers.reach,
+            self.movers.at(times, robot[:-1]),
+            turn.firings,
+            origins,
+            directions,
+        )
+        true_pose = pose_matrix(eyes[-1], robot[-1, 3], robot[-1, 4])
+        estimated_pose = pose_matrix(eyes[-1] + error[:3], robot[-1, 3] + error[3], robot[-1, 4])
+
+        def returns(hits: Hits, ghost: NDArray[np.bool_]) -> Returns:
+            ranges = measured_ranges(hits.distance, range_noise, parameters)
+            returned = np.isfinite(ranges)
+            seen = origins[returned] + ranges[returned, None] * directions[returned]
+            return Returns(
+                xyz=to_map(estimated_pose, to_sensor(true_pose, seen)),
+                intensity=intensities(hits.surface[returned], intensity_noise[returned]),
+                time=times[turn.firings[returned]],
+                surface=hits.surface[returned],
+                moving=ghost[returned],
+            )
+
+        ghosts = moving.distance < still.distance
+        seen = Hits(
+            np.where(ghosts, moving.distance, still.distance),
+            np.where(ghosts, moving.surface, still.surface),
+        )
+        return SimulatedScan(
+            number=number,
+            start=start,
+            returns=returns(seen, ghosts),
+            static_returns=returns(still, np.zeros_like(ghosts)),
             true_pose=true_pose,
             estimated_pose=estimated_pose,
         )
-
-
-def _sensor_pose(
-    states: NDArray[np.float64], height: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the positions (n, 3) and headings (n,) of the sensor on the robot."""
-    above_floor = np.full(len(states), height)
-    return np.column_stack([states[:, :2], above_floor]), states[:, 2]

@@ -1,0 +1,194 @@
+"""A street of 120 metres over a hill: facades, trees, parked cars, and pavements to both sides.
+
+The road rises to its middle and falls again, so that streets can be put end to end. All lengths are
+in metres; heights are above the road.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.simulation.construction import Builder
+from pipeline.simulation.movers import car_shapes
+from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways
+from pipeline.simulation.shapes import Surface
+
+LENGTH, WIDTH = 120.0, 40.0
+_MIDDLE = WIDTH / 2
+_ROAD, _PAVEMENT = 5.0, 9.5  # from the middle to the kerb, and to the facades
+_KERB = 0.12
+_LANE, _PARKING = 1.6, 4.0  # middle of a lane, and of the parking strip
+_TREES, _WALKING, _ROBOT = 5.7, 7.0, 8.3
+_CROSSINGS = (15.0, 60.0, 105.0)
+_TRANSVERSE = 3.0  # x at which the robot crosses, and as far from the other end
+
+
+def street_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+    """Build the street.
+
+    Parameters
+    ----------
+    random : numpy.random.Generator
+        What varies from one street to the next is drawn from it: the slope of the road (2 to 6 %),
+        houses, trees and parked cars.
+    glass : bool, optional
+        Whether shop windows let rays pass; otherwise they are solid walls.
+
+    Returns
+    -------
+    Scene
+    """
+    slope = random.uniform(0.02, 0.06)
+    walkways = _walkways(slope)
+    builder = Builder(glass)
+    # Each half lies on a floor that is 0 high at its own end.
+    for half, (base, rise) in enumerate(((0.0, slope), (slope * LENGTH, -slope))):
+        x = (LENGTH / 2 * half, LENGTH / 2 * (half + 1))
+        with builder.on(base, rise):
+            _add_ground(builder, x)
+            for side in (-1, 1):
+                _add_houses(builder, x, side, random)
+                _add_trees_and_lamps(builder, x, side, random)
+                _add_parked_cars(builder, x, side, random)
+    kiosk = 33.0
+    with builder.on(0.0, slope):
+        y = _MIDDLE + _TREES
+        builder.box((kiosk, kiosk + 1.6), (y - 0.6, y + 0.6), (0.0, 2.4), Surface.FURNITURE)
+    queue = [(kiosk - 0.6 - 0.8 * slot, y) for slot in range(6)]
+    back = [(kiosk - 0.6, y + 1.0), (kiosk - 5.2, y + 1.0)]
+    corners = _TRANSVERSE, LENGTH - _TRANSVERSE
+    walks = _MIDDLE - _ROBOT, _MIDDLE + _ROBOT
+    kerbs = _MIDDLE - _ROAD, _MIDDLE + _ROAD
+    robot = [
+        *((x, walks[0], _KERB) for x in (corners[0], LENGTH / 2, corners[1])),
+        *((corners[1], y, _KERB) for y in kerbs),
+        *((x, walks[1], _KERB) for x in (corners[1], LENGTH / 2, corners[0])),
+        *((corners[0], y, _KERB) for y in kerbs[::-1]),
+    ]
+    ends = 8.0, LENGTH - 8.0
+    cars = [(x, _MIDDLE - _LANE, 0.0) for x in (ends[0], LENGTH / 2, ends[1])]
+    cars += [(x, _MIDDLE + _LANE, 0.0) for x in (ends[1], LENGTH / 2, ends[0])]
+    return Scene(
+        shapes=builder.shapes(),
+        walkways=walkways,
+        queue=_on_hill([(*slot, _KERB) for slot in queue], slope),
+        queue_return=_on_hill([(*corner, _KERB) for corner in back], slope),
+        robot_route=_on_hill(robot, slope),
+        machine_route=_on_hill(cars, slope),
+        machines=(MachineKind.CAR, MachineKind.BICYCLE),
+        machine_speed=5.0,
+        size=(LENGTH, WIDTH),
+        gap=0.0,
+    )
+
+
+def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> NDArray[np.float64]:
+    """Return corners given by x, y and the height above the road."""
+    points = np.array(corners)
+    points[:, 2] += slope * np.minimum(points[:, 0], LENGTH - points[:, 0])
+    return points
+
+
+def _add_ground(builder: Builder, x: tuple[float, float]) -> None:
+    """Add the road, and the pavements behind their kerbs."""
+    builder.floor(x, (_MIDDLE - _ROAD, _MIDDLE + _ROAD))
+    for side in (-1, 1):
+        y = sorted((_MIDDLE + side * _ROAD, _MIDDLE + side * WIDTH / 2))
+        builder.box(x, (y[0], y[1]), (-0.3, _KERB), Surface.FLOOR)
+
+
+def _add_houses(
+    builder: Builder, x: tuple[float, float], side: int, random: np.random.Generator
+) -> None:
+    """Add houses side by side, each with its own height, set-back, and windows."""
+
+    def between(near: float, far: float) -> tuple[float, float]:
+        y = sorted((_MIDDLE + side * near, _MIDDLE + side * far))
+        return y[0], y[1]
+
+    start = x[0]
+    while start < x[1]:
+        end = start + random.uniform(8.0, 16.0)
+        if x[1] - end < 6.0:
+            end = x[1]
+        front = _PAVEMENT + random.uniform(0.0, 1.2)
+        height = random.uniform(6.0, 14.0)
+        storeys = np.arange(_KERB, height - 2.5, 3.0)
+        # Windows are recesses 0.3 m deep; the ground floor's let rays into a room behind them.
+        back = between(front + 0.3, WIDTH / 2)
+        rooms = builder.glass and random.random() < 0.5
+        first = 3.0 if rooms else _KERB
+        builder.box((start, end), back, (first, height), Surface.WALL)
+        if rooms:
+            builder.box((start, end), between(front + 3.0, WIDTH / 2), (0.0, 3.0), Surface.WALL)
+            for side_wall in (start, end - 0.2):
+                builder.box(
+                    (side_wall, side_wall + 0.2),
+                    between(front + 0.3, front + 3.0),
+                    (0.0, 3.0),
+                    Surface.WALL,
+                )
+        for number, bottom in enumerate(storeys):
+            top = storeys[number + 1] if number + 1 < len(storeys) else height
+            strips = ((bottom, bottom + 0.9), (bottom + 2.3, top))
+            for strip in strips:
+                builder.box((start, end), between(front, front + 0.3), strip, Surface.WALL)
+        columns = max(2, round((end - start) / 3.0) + 1)
+        for middle in np.linspace(start + 0.3, end - 0.3, columns):
+            column = (middle - 0.3, middle + 0.3)
+            builder.box(column, between(front, front + 0.3), (_KERB, height), Surface.WALL)
+        start = end
+
+
+def _add_trees_and_lamps(
+    builder: Builder, x: tuple[float, float], side: int, random: np.random.Generator
+) -> None:
+    """Add trees, whose crowns are many clumps of leaves, and lamp posts between them."""
+    y = _MIDDLE + side * _TREES
+    for place in np.arange(x[0] + 6.0, x[1] - 3.0, 10.0):
+        if any(abs(place - crossing) < 2.5 for crossing in _CROSSINGS) or random.random() < 0.2:
+            continue
+        if side > 0 and 26.0 < place < 38.0:  # the kiosk and its queue
+            continue
+        trunk = random.uniform(2.4, 3.2)
+        builder.cylinder(place, y, random.uniform(0.12, 0.25), trunk + 1.0, Surface.VEGETATION)
+        clumps = random.normal(size=(30, 3)) * [1.0, 1.0, 0.8] + [place, y, trunk + 1.6]
+        clumps[:, 2] = np.maximum(clumps[:, 2], 2.4)  # people walk under them
+        for clump, size in zip(clumps, random.uniform(0.1, 0.4, len(clumps)), strict=True):
+            spans = [(float(middle - size), float(middle + size)) for middle in clump[:2]]
+            # The bounds of a box on a slope are above the floor, which is what clump[2] is.
+            height = (float(clump[2] - size), float(clump[2] + size))
+            builder.box(spans[0], spans[1], height, Surface.VEGETATION)
+    for place in (x[0] + 11.0, x[0] + 51.0):
+        builder.cylinder(place, y, 0.08, 5.0)
+
+
+def _add_parked_cars(
+    builder: Builder, x: tuple[float, float], side: int, random: np.random.Generator
+) -> None:
+    """Park cars along the kerb, but for gaps and crossings."""
+    for place in np.arange(x[0] + 9.0, x[1] - 6.0, 6.0):
+        free = all(abs(place - crossing) > 5.0 for crossing in _CROSSINGS)
+        if not free or random.random() < 0.35:
+            continue
+        middle = (place + random.uniform(-0.4, 0.4), _MIDDLE + side * _PARKING)
+        car = car_shapes(random)
+        for (x0, y0, z0, x1, y1, z1, _, _), surface in zip(car.boxes, car.box_surface, strict=True):
+            builder.box(
+                (middle[0] + x0, middle[0] + x1),
+                (middle[1] + y0, middle[1] + y1),
+                (z0, z1),
+                Surface(surface),
+            )
+
+
+def _walkways(slope: float) -> Walkways:
+    """Return the ways along both pavements, and over the road at the crossings."""
+    stops = (5.0, *_CROSSINGS[:1], 40.0, *_CROSSINGS[1:2], 80.0, *_CROSSINGS[2:], 115.0)
+    places, lines = {}, []
+    for name, side in (("south", -1), ("north", 1)):
+        for x in stops:
+            height = _KERB + slope * min(x, LENGTH - x)
+            places[f"{name} {x}"] = Place(x, _MIDDLE + side * _WALKING, 0.4, height)
+        lines.append([f"{name} {x}" for x in stops])
+    lines += [[f"south {x}", f"north {x}"] for x in _CROSSINGS]
+    return Walkways.along(places, lines)
