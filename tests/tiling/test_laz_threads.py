@@ -3,6 +3,7 @@
 import itertools
 import random
 import struct
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 
 import laspy
@@ -129,6 +130,20 @@ def test_no_more_chunks_than_threads_are_in_work(paths, tmp_path, monkeypatch):
     chunks_at_once.clear()
     written(open_map(paths["layers"]), tmp_path / "out.laz", everything, 100)
     assert chunks_at_once == []
+
+
+@pytest.mark.skipif("fork" not in get_all_start_methods(), reason="processes cannot be forked")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_a_forked_process_does_not_wait_for_threads_that_it_lacks(paths, tmp_path):
+    reader = open_map(paths["layers"], 2)
+    everything = np.ones(COUNT, dtype=bool)
+    expected = written(reader, tmp_path / "here.laz", everything, 100)
+    there = tmp_path / "there.laz"
+    process = get_context("fork").Process(target=written, args=(reader, there, everything, 100))
+    process.start()
+    process.join(30)
+    process.kill()
+    assert there.read_bytes() == expected
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -39,6 +39,7 @@ from tiling.formats.laz_chunks import knows_chunks
 from tiling.formats.laz_header import Compression, read_compression
 from tiling.formats.laz_parallel import ParallelLazPoints, can_be_read_in_parallel
 from tiling.formats.laz_writer import LazWriter
+from tiling.formats.lazrs_pool import usable_threads
 from tiling.formats.parts import PartWriter, SinglePartWriter
 
 _LARGEST_BATCH = 1 << 28
@@ -110,7 +111,8 @@ class LasReader(MapReader):
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
         if self._compression is None:
             return SinglePartWriter(self.part_writer(path, point_count))
-        return LazWriter(path, point_count, self._header, self._compression, self.threads)
+        threads = usable_threads(self.threads)
+        return LazWriter(path, point_count, self._header, self._compression, threads)
 
     @property
     def writes_parts(self) -> bool:
@@ -128,8 +130,9 @@ class LasReader(MapReader):
             return _RawPoints(file, self._header, rows.start)
         if self._compression.needs_laszip and laszip_is_installed():
             return LaszipPoints(file, self._header, self._compression, rows)
-        if self.threads > 1 and can_be_read_in_parallel(file, self._header, self._compression):
-            return ParallelLazPoints(file, self._header, self._compression, rows, self.threads)
+        threads = usable_threads(self.threads)
+        if threads > 1 and can_be_read_in_parallel(file, self._header, self._compression):
+            return ParallelLazPoints(file, self._header, self._compression, rows, threads)
         return LazPoints(file, self._header, self._compression, rows)
 
 

@@ -15,9 +15,6 @@ from tiling.formats.las_header import LasHeader, VariableLengthRecord
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
 
-LARGEST_PARALLEL_CHUNK = 1 << 26
-"""Bytes of points in a chunk; longer ones are not held in memory, one for each thread."""
-
 _POINT_WISE, _POINT_WISE_CHUNKED, _LAYERED_CHUNKED = 1, 2, 3
 _VARIABLE_CHUNK_SIZE = 0xFFFFFFFF
 _AT_CHUNK_SIZE = 12

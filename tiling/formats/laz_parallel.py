@@ -11,7 +11,8 @@ from tiling.errors import MapFormatError
 from tiling.formats.las_header import LasHeader
 from tiling.formats.laz import refuse_points
 from tiling.formats.laz_chunks import Stretch, knows_chunks, longest_chunk, split_into_chunks
-from tiling.formats.laz_header import LARGEST_PARALLEL_CHUNK, Compression
+from tiling.formats.laz_header import Compression
+from tiling.formats.lazrs_pool import LARGEST_PARALLEL_CHUNK
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -30,15 +31,12 @@ def can_be_read_in_parallel(file: BinaryIO, header: LasHeader, compression: Comp
 class ParallelLazPoints:
     """Decompresses the points of a LAZ file from a row on, in order, with several threads.
 
-    lazrs gives each chunk that it is handed in one call to a thread of a pool that the whole
-    process shares. So it is never handed more at once than there are threads to use.
-
     Parameters
     ----------
     file, header, compression, rows
         As for `LazPoints`, of a file that `can_be_read_in_parallel`.
     threads : int
-        Chunks to decompress at a time.
+        Chunks to decompress at a time, see `lazrs_pool`.
     """
 
     def __init__(

@@ -12,7 +12,8 @@ from tiling.formats.base import MapWriter
 from tiling.formats.las_header import RECORD_LENGTHS, LasHeader
 from tiling.formats.las_summary import LasSummary
 from tiling.formats.las_surroundings import LasSurroundings
-from tiling.formats.laz_header import LARGEST_PARALLEL_CHUNK, Compression, own_compression
+from tiling.formats.laz_header import Compression, own_compression
+from tiling.formats.lazrs_pool import LARGEST_PARALLEL_CHUNK
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -39,7 +40,7 @@ class LazWriter(MapWriter):
     compression : Compression
         How that file's points are compressed.
     threads : int
-        Chunks that are compressed side by side. The file does not depend on it.
+        Chunks to compress at a time, see `lazrs_pool`. The file does not depend on it.
     """
 
     def __init__(
@@ -122,11 +123,7 @@ class _Chunks:
 
 
 class _ParallelChunks(_Chunks):
-    """Compresses several chunks of one size at a time.
-
-    lazrs gives each chunk that it is handed in one call to a thread of a pool that the whole
-    process shares. So it is never handed more at once than there are threads to use.
-    """
+    """Compresses as many chunks of one size at a time as there are threads, see `lazrs_pool`."""
 
     def __init__(self, file: BinaryIO, vlr: Any, threads: int) -> None:
         super().__init__(lazrs.ParLasZipCompressor(file, vlr))
