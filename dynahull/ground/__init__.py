@@ -37,6 +37,8 @@ def ground_mask(
     points: Floats,
     parameters: GroundParameters,
     classification: npt.NDArray[np.uint8] | None = None,
+    *,
+    threads: int = 1,
 ) -> Booleans:
     """Tell which points are ground.
 
@@ -48,6 +50,8 @@ def ground_mask(
         The method and its settings.
     classification : (N,) uint8 array, optional
         ASPRS classes, for `method: las_class`.
+    threads : int
+        Threads of `method: slope`. The result does not depend on it.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def ground_mask(
             return cloth_ground(points, parameters.csf)
         case "slope":
             compile_once()
-            return slope_ground(points, parameters.slope)
+            return slope_ground(points, parameters.slope, threads)
 
 
 def ground_radius(parameters: GroundParameters) -> float | None:
@@ -91,7 +95,9 @@ def height_radius(parameters: GroundParameters) -> float:
     return height_reach(parameters.slope)
 
 
-def height_above_ground(points: Floats, ground: Booleans, parameters: GroundParameters) -> Floats:
+def height_above_ground(
+    points: Floats, ground: Booleans, parameters: GroundParameters, *, threads: int = 1
+) -> Floats:
     """Return each point's height above the floor beneath it, metres.
 
     Parameters
@@ -102,6 +108,8 @@ def height_above_ground(points: Floats, ground: Booleans, parameters: GroundPara
         Which of them are ground.
     parameters : GroundParameters
         The lattice of its `slope` section is used, whatever the method.
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -110,4 +118,4 @@ def height_above_ground(points: Floats, ground: Booleans, parameters: GroundPara
         height above the nearest floor beneath the point.
     """
     compile_once()
-    return height_above(points, ground, parameters.slope)
+    return height_above(points, ground, parameters.slope, threads)

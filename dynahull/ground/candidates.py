@@ -3,6 +3,7 @@
 import numpy as np
 
 from dynahull.compilation import compiled
+from dynahull.ground.columns import Columns, first_from
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -15,11 +16,15 @@ from dynahull.ground.lattice import (
 )
 from dynahull.ground.levels import Levels
 from dynahull.ground.parameters import SlopeParameters
+from dynahull.threads import over_ranges, range_bounds
 
 __all__ = ["FLAT_RADIUS", "are_flat", "are_floors"]
 
 FLAT_RADIUS = 2.9
 """Cells; the neighbourhood in which a level must go on."""
+
+_SMALLEST_RANGE = 500
+"""Levels."""
 
 _STRIDE = 2
 """Every second cell is looked at for what stands on a floor: enough, in a quarter of the time."""
@@ -35,7 +40,7 @@ _ABOVE_TO_BENEATH = 0.3
 """Least columns with something above a floor: of all, and of those with something beneath it."""
 
 
-def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters) -> Booleans:
+def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters, threads: int = 1) -> Booleans:
     """Tell which levels go on in the cells about them.
 
     A cell continues a level if it holds one no more than `step + continuity * distance` higher or
@@ -43,18 +48,30 @@ def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters) -> Booleans:
     that continue the foot of a wall lie on a line. Where nothing stands on the lowest level
     half the spread will do, so that the separate rings of a distant scan count.
     """
-    offsets = disk_offsets(FLAT_RADIUS)
-    return _are_flat(
-        levels.heights,
-        levels.slots,
-        levels.bare,
-        starts_of(levels.slots, lattice.slot_count),
-        lattice.neighbours,
-        offsets,
-        p.step + p.continuity * distances_of(offsets, p.cell),
-        p.flatness,
-        0.0 if p.clearance is None else p.breadth,
+    offsets = disk_offsets(FLAT_RADIUS)[1:]
+    flat = np.empty(len(levels.heights), np.bool_)
+    starts = starts_of(levels.slots, lattice.slot_count)
+    reaches = p.step + p.continuity * distances_of(offsets, p.cell)
+    breadth = 0.0 if p.clearance is None else p.breadth
+    over_ranges(
+        lambda first, end: _are_flat(
+            levels.heights,
+            levels.slots,
+            levels.bare,
+            starts,
+            lattice.neighbours,
+            offsets,
+            reaches,
+            p.flatness,
+            breadth,
+            first,
+            end,
+            flat,
+        ),
+        range_bounds(len(flat), threads, _SMALLEST_RANGE),
+        threads,
     )
+    return flat
 
 
 @compiled
@@ -68,42 +85,49 @@ def _are_flat(
     reaches: Floats,
     share: float,
     breadth: float,
-) -> Booleans:
-    flat = np.zeros(len(heights), np.bool_)
-    cells = np.empty((len(offsets), 2), np.float64)
-    for level in range(len(heights)):
-        cells[0] = 0.0
-        occupied, continued = 0, 0
-        for k in range(1, len(offsets)):
-            slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
-            if slot < 0 or starts[slot] == starts[slot + 1]:
-                continue
-            occupied += 1
+    first_level: int,
+    end_level: int,
+    flat: Booleans,
+) -> None:
+    occupied = 0
+    around = np.empty(len(offsets), np.int64)
+    cells = np.empty(len(offsets), np.int64)
+    last = -1
+    for level in range(first_level, end_level):
+        if slots[level] != last:
+            # the levels of a column have the same cells about them
+            last = slots[level]
+            occupied = 0
+            for k in range(len(offsets)):
+                slot = slot_at(last, offsets[k, 0], offsets[k, 1], neighbours)
+                if slot >= 0 and starts[slot] < starts[slot + 1]:
+                    around[occupied], cells[occupied] = k, slot
+                    occupied += 1
+        continued = 0
+        u = v = uu = uv = vv = 0
+        for place in range(occupied):
+            if continued + occupied - place < share * occupied:
+                break
+            k, slot = around[place], cells[place]
             for other in range(starts[slot], starts[slot + 1]):
                 if abs(heights[other] - heights[level]) <= reaches[k]:
+                    i, j = offsets[k, 0], offsets[k, 1]
                     continued += 1
-                    cells[continued, 0] = offsets[k, 0]
-                    cells[continued, 1] = offsets[k, 1]
+                    u += i
+                    v += j
+                    uu += i * i
+                    uv += i * j
+                    vv += j * j
                     break
         wanted = breadth / 2 if bare[level] else breadth
         flat[level] = continued >= share * occupied and (
-            wanted == 0 or _breadth(cells[: continued + 1]) >= wanted
+            wanted == 0 or _breadth(continued + 1, u, v, uu, uv, vv) >= wanted
         )
-    return flat
 
 
 @compiled
-def _breadth(cells: Floats) -> float:
-    """Return the smaller variance along the principal axes."""
-    n = len(cells)
-    su = sv = suu = suv = svv = 0.0
-    for k in range(n):
-        u, v = cells[k]
-        su += u
-        sv += v
-        suu += u * u
-        suv += u * v
-        svv += v * v
+def _breadth(n: int, su: float, sv: float, suu: float, suv: float, svv: float) -> float:
+    """Return the smaller variance along the principal axes, from sums over n cells."""
     a = suu / n - (su / n) ** 2
     b = suv / n - su * sv / (n * n)
     c = svv / n - (sv / n) ** 2
@@ -112,11 +136,11 @@ def _breadth(cells: Floats) -> float:
 
 def are_floors(
     levels: Levels,
-    columns: Floats,
-    starts: Integers,
+    columns: Columns,
     lattice: Lattice,
     p: SlopeParameters,
     clearance: float,
+    threads: int = 1,
 ) -> Booleans:
     """Tell floors from ceilings, and from the tops of solid things.
 
@@ -131,26 +155,38 @@ def are_floors(
     ----------
     levels : Levels
         Those to judge.
-    columns, starts : arrays
-        The heights of all points, column by column, as `find_levels` takes them.
+    columns : Columns
+        All points.
     lattice : Lattice
         Where the columns are.
     p : SlopeParameters
         `storey_radius`, `slope` and `cell` are used.
     clearance : float
         Metres.
+    threads : int
+        They change nothing about the result.
     """
     offsets = disk_offsets(p.storey_radius / p.cell / _STRIDE) * _STRIDE
-    return _are_floors(
-        levels.heights,
-        levels.slots,
-        columns,
-        starts,
-        lattice.neighbours,
-        offsets,
-        _MARGIN + p.slope * distances_of(offsets, p.cell),
-        clearance,
+    reaches = _MARGIN + p.slope * distances_of(offsets, p.cell)
+    floors = np.zeros(len(levels.heights), np.bool_)
+    over_ranges(
+        lambda first, end: _are_floors(
+            levels.heights,
+            levels.slots,
+            columns.heights,
+            columns.starts,
+            lattice.neighbours,
+            offsets,
+            reaches,
+            clearance,
+            first,
+            end,
+            floors,
+        ),
+        range_bounds(len(floors), threads, _SMALLEST_RANGE),
+        threads,
     )
+    return floors
 
 
 @compiled
@@ -163,9 +199,11 @@ def _are_floors(
     offsets: Integers,
     reaches: Floats,
     clearance: float,
-) -> Booleans:
-    floors = np.zeros(len(heights), np.bool_)
-    for level in range(len(heights)):
+    first_level: int,
+    end_level: int,
+    floors: Booleans,
+) -> None:
+    for level in range(first_level, end_level):
         z = heights[level]
         if _rests_on_something(slots[level], z, columns, starts, neighbours, clearance):
             continue
@@ -174,29 +212,35 @@ def _are_floors(
             slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
             if slot < 0 or starts[slot] == starts[slot + 1]:
                 continue
+            first, end = starts[slot], starts[slot + 1]
+            bottom, top = z - reaches[k], z + reaches[k]
             occupied += 1
-            column = columns[starts[slot] : starts[slot + 1]]
-            if column[-1] > z + reaches[k]:
+            if columns[end - 1] > top:
                 above += 1
-            lowest = np.searchsorted(column, z - reaches[k])
-            if lowest == len(column) or column[lowest] > z + reaches[k]:
+            if columns[first] > top or columns[end - 1] < bottom:
                 continue
+            lowest = first
+            if columns[first] < bottom:
+                lowest = first_from(columns, first, end, bottom)
+                if columns[lowest] > top:
+                    continue
             surface += 1
-            if lowest > 0:
+            if lowest > first:
                 under += 1
-                if _is_filled(column, z, clearance):
+                if _is_filled(columns, first, end, z, clearance):
                     beneath += 1
         floors[level] = under < _UNDER_SHARE * surface or (
             above >= _ABOVE_SHARE * occupied and above >= _ABOVE_TO_BENEATH * beneath
         )
-    return floors
 
 
 @compiled
-def _is_filled(column: Floats, z: float, clearance: float) -> bool:
+def _is_filled(columns: Floats, first: int, end: int, z: float, clearance: float) -> bool:
     """Whether a point lies between half and the whole clearance under z: deeper than a slab."""
-    first = np.searchsorted(column, z - clearance)
-    return bool(first < len(column) and column[first] <= z - clearance / 2)
+    if columns[first] > z - clearance / 2:
+        return False
+    lowest = first_from(columns, first, end, z - clearance)
+    return lowest < end and columns[lowest] <= z - clearance / 2
 
 
 @compiled
@@ -211,6 +255,6 @@ def _rests_on_something(
             if other < 0 or starts[other] == starts[other + 1]:
                 continue
             occupied += 1
-            if _is_filled(columns[starts[other] : starts[other + 1]], z, clearance):
+            if _is_filled(columns, starts[other], starts[other + 1], z, clearance):
                 filled += 1
     return 3 * filled >= 2 * occupied

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import types
-from numba.typed import Dict
 
 from dynahull.compilation import compiled, inlined
+from dynahull.threads import over_ranges, range_bounds
 
 __all__ = [
     "Booleans",
@@ -23,7 +22,6 @@ __all__ = [
     "disk_offsets",
     "distances_of",
     "slot_at",
-    "sort_heights",
     "starts_of",
 ]
 
@@ -35,11 +33,17 @@ BLOCK_BITS = 4
 """Cells along the side of a block, as a power of two."""
 
 BLOCK = 1 << BLOCK_BITS
-_SLOTS_PER_BLOCK = BLOCK * BLOCK
+_SLOT_BITS = 2 * BLOCK_BITS
+_SLOTS_PER_BLOCK = 1 << _SLOT_BITS
 _KEY_BITS = 32
 _HALF_KEY = 1 << (_KEY_BITS - 1)
 _LOWER_KEY = (1 << _KEY_BITS) - 1
-_FARTHEST_CELL = 2.0**34
+_NO_KEY = np.iinfo(np.int64).min
+_FIRST_TABLE = 256
+_SMALLEST_RANGE = 20_000
+"""Points."""
+
+FARTHEST_CELL = 2.0**34
 """Cells beyond it are one: block coordinates, and a window about them, fit half a key."""
 
 
@@ -54,7 +58,7 @@ class Lattice(NamedTuple):
     slots: Integers
     """Slot of each point, (N,)."""
     blocks: Integers
-    """Block coordinates, (B, 2)."""
+    """Block coordinates, ascending, (B, 2)."""
     neighbours: Integers
     """Blocks around each block, (B, 2 s + 1, 2 s + 1); -1 where none exists."""
 
@@ -64,7 +68,7 @@ class Lattice(NamedTuple):
         return len(self.blocks) * _SLOTS_PER_BLOCK
 
 
-def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
+def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -> Lattice:
     """Sort points into the cells of a lattice.
 
     Parameters
@@ -75,64 +79,121 @@ def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
         Side of a cell, metres.
     reach : float
         Metres; the widest window that will be read about a cell.
+    threads : int
+        They change nothing about the result.
     """
-    cells = np.floor(points[:, :2] / cell)
-    np.clip(cells, -_FARTHEST_CELL, _FARTHEST_CELL, out=cells)
-    span = int(np.ceil(reach / cell)) // BLOCK + 1
-    slots, blocks, neighbours = _index_cells(cells, span)
-    return Lattice(cell, slots, blocks, neighbours)
+    slots = np.empty(len(points), np.int64)
+    bounds = range_bounds(len(points), threads, _SMALLEST_RANGE)
+    found = over_ranges(
+        lambda first, end: _find_blocks(points, cell, first, end, slots), bounds, threads
+    )
+    keys, numbers = np.unique(np.concatenate(found), return_inverse=True)
+    # each range has numbered its blocks as they came
+    parts = dict(
+        zip(bounds, np.split(numbers, np.cumsum([len(part) for part in found])), strict=True)
+    )
+    over_ranges(
+        lambda first, end: _renumber_blocks(slots, parts[first], first, end), bounds, threads
+    )
+    blocks = np.empty((len(keys), 2), np.int64)
+    blocks[:, 1] = ((keys + _HALF_KEY) & _LOWER_KEY) - _HALF_KEY
+    blocks[:, 0] = (keys - blocks[:, 1]) >> _KEY_BITS
+    return Lattice(cell, slots, blocks, _neighbours(keys, int(np.ceil(reach / cell)) // BLOCK + 1))
+
+
+def _neighbours(keys: Integers, span: int) -> Integers:
+    """Find the blocks up to `span` away from each of the blocks that exist."""
+    along = np.arange(-span, span + 1)
+    wanted = keys[:, None, None] + (along[:, None] << _KEY_BITS) + along
+    place = np.searchsorted(keys, wanted)
+    place[place == len(keys)] = 0
+    return np.where(keys[place] == wanted, place, -1) if len(keys) else place
 
 
 @compiled
-def _index_cells(cells: Floats, span: int) -> tuple[Integers, Integers, Integers]:
-    """Find the slot of each point, blocks being numbered as they appear, and their neighbours."""
-    known = Dict.empty(types.int64, types.int64)
-    slots = np.empty(len(cells), np.int64)
-    last = np.int64(0)
-    block = np.int64(-1)
-    for point in range(len(cells)):
-        i = np.int64(cells[point, 0])
-        j = np.int64(cells[point, 1])
+def _find_blocks(points: Floats, cell: float, first: int, end: int, slots: Integers) -> Integers:
+    """Return the keys of the blocks of a range of points, in the order they appear.
+
+    They are found in a table by a hash of the key. A slot says the cell within the block and,
+    until the blocks of all ranges are known, the block's place among those of this range.
+    """
+    keys = np.empty(_FIRST_TABLE // 2, np.int64)
+    table = np.full(_FIRST_TABLE, -1, np.int64)
+    found = 0
+    last, block = np.int64(_NO_KEY), 0
+    for point in range(first, end):
+        i = cell_of(points[point, 0], cell)
+        j = cell_of(points[point, 1], cell)
         key = _block_key(i >> BLOCK_BITS, j >> BLOCK_BITS)
-        if block < 0 or key != last:
-            block = known.get(key, np.int64(-1))
-            if block < 0:
-                block = np.int64(len(known))
-                known[key] = block
+        if key != last:
             last = key
-        slots[point] = block * _SLOTS_PER_BLOCK + (i & (BLOCK - 1)) * BLOCK + (j & (BLOCK - 1))
-    blocks = np.empty((len(known), 2), np.int64)
-    for key, number in known.items():
-        blocks[number, 1] = ((key + _HALF_KEY) & _LOWER_KEY) - _HALF_KEY
-        blocks[number, 0] = (key - blocks[number, 1]) >> _KEY_BITS
-    width = 2 * span + 1
-    neighbours = np.full((len(known), width, width), -1, np.int64)
-    for number in range(len(blocks)):
-        for a in range(width):
-            for b in range(width):
-                key = _block_key(blocks[number, 0] + a - span, blocks[number, 1] + b - span)
-                neighbours[number, a, b] = known.get(key, np.int64(-1))
-    return slots, blocks, neighbours
+            if found == len(keys):
+                keys, table = _enlarged(keys)
+            place = _place_of(key, keys, table)
+            if table[place] < 0:
+                keys[found] = key
+                table[place] = found
+                found += 1
+            block = table[place]
+        slots[point] = (block << _SLOT_BITS) + ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
+    return keys[:found]
 
 
 @compiled
+def _place_of(key: int, keys: Integers, table: Integers) -> int:
+    """Where a key stands in the table, or may be put: the first place free after its hash."""
+    place = _hash(key) & (len(table) - 1)
+    while table[place] >= 0 and keys[table[place]] != key:
+        place = (place + 1) & (len(table) - 1)
+    return place
+
+
+@compiled
+def _enlarged(keys: Integers) -> tuple[Integers, Integers]:
+    larger = np.empty(2 * len(keys), np.int64)
+    table = np.full(4 * len(keys), -1, np.int64)
+    for number in range(len(keys)):
+        larger[number] = keys[number]
+        table[_place_of(keys[number], larger, table)] = number
+    return larger, table
+
+
+@inlined
+def _hash(key: int) -> int:
+    # Fibonacci hashing (Knuth, volume 3, section 6.4); the high bits are the mixed ones.
+    return (key * 0x1E3779B97F4A7C15) >> 32
+
+
+@compiled
+def _renumber_blocks(slots: Integers, numbers: Integers, first: int, end: int) -> None:
+    for point in range(first, end):
+        block = numbers[slots[point] >> _SLOT_BITS]
+        slots[point] = (block << _SLOT_BITS) + (slots[point] & (_SLOTS_PER_BLOCK - 1))
+
+
+@inlined
+def cell_of(coordinate: float, cell: float) -> int:
+    """Return the cell along one axis."""
+    return int(min(max(np.floor(coordinate / cell), -FARTHEST_CELL), FARTHEST_CELL))
+
+
+@inlined
 def _block_key(i: int, j: int) -> int:
-    """Put block coordinates into one integer: a pair takes longer to hash, and to compile."""
     return (i << _KEY_BITS) + j
 
 
 @inlined
 def slot_at(slot: int, di: int, dj: int, neighbours: Integers) -> int:
     """Return the slot of the cell (di, dj) away from the cell of `slot`, or -1."""
-    span = neighbours.shape[1] // 2
-    block = slot // _SLOTS_PER_BLOCK
-    local = slot - block * _SLOTS_PER_BLOCK
-    i = local // BLOCK + di
-    j = local % BLOCK + dj
-    other: int = neighbours[block, (i >> BLOCK_BITS) + span, (j >> BLOCK_BITS) + span]
+    i = ((slot >> BLOCK_BITS) & (BLOCK - 1)) + di
+    j = (slot & (BLOCK - 1)) + dj
+    if (i | j) & ~(BLOCK - 1) == 0:
+        return slot + (di << BLOCK_BITS) + dj
+    span = neighbours.shape[1] >> 1
+    other = neighbours[slot >> _SLOT_BITS, (i >> BLOCK_BITS) + span, (j >> BLOCK_BITS) + span]
     if other < 0:
         return -1
-    return other * _SLOTS_PER_BLOCK + (i & (BLOCK - 1)) * BLOCK + (j & (BLOCK - 1))
+    return (other << _SLOT_BITS) + ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
 
 
 def starts_of(slots: Integers, slot_count: int) -> Integers:
@@ -140,20 +201,6 @@ def starts_of(slots: Integers, slot_count: int) -> Integers:
     starts = np.zeros(slot_count + 1, np.int64)
     np.cumsum(np.bincount(slots, minlength=slot_count), out=starts[1:])
     return starts
-
-
-@compiled
-def sort_heights(heights: Floats, slots: Integers, starts: Integers) -> Floats:
-    """Return the heights column by column, ascending within each."""
-    place = starts[:-1].copy()
-    columns = np.empty(len(heights), np.float64)
-    for point in range(len(heights)):
-        columns[place[slots[point]]] = heights[point]
-        place[slots[point]] += 1
-    for slot in range(len(starts) - 1):
-        if starts[slot + 1] - starts[slot] > 1:
-            columns[starts[slot] : starts[slot + 1]].sort()
-    return columns
 
 
 def disk_offsets(radius: float) -> Integers:

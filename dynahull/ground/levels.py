@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dynahull.compilation import compiled
+from dynahull.ground.columns import Columns
 from dynahull.ground.lattice import Booleans, Floats, Integers
+from dynahull.threads import over_ranges
 
 __all__ = ["Levels", "find_levels"]
 
@@ -30,7 +32,7 @@ class Levels(NamedTuple):
 
 
 def find_levels(
-    columns: Floats, starts: Integers, thickness: float, clearance: float, clutter: float
+    columns: Columns, thickness: float, clearance: float, clutter: float, threads: int = 1
 ) -> Levels:
     """Find the levels of every column.
 
@@ -41,28 +43,42 @@ def find_levels(
 
     Parameters
     ----------
-    columns : (N,) float64 array
-        Heights, metres, column by column, ascending within each.
-    starts : (slots + 1,) int64 array
-        Where each column begins.
+    columns : Columns
+        The points.
     thickness, clearance : float
         Metres.
     clutter : float
         Share.
+    threads : int
+        They change nothing about the result.
     """
-    return Levels(*_find_levels(columns, starts, thickness, clearance, clutter))
+    found = over_ranges(
+        lambda first, end: _find_levels(
+            columns.heights, columns.starts, thickness, clearance, clutter, first, end
+        ),
+        columns.bounds(threads),
+        threads,
+    )
+    return Levels(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 @compiled
 def _find_levels(
-    columns: Floats, starts: Integers, thickness: float, clearance: float, clutter: float
+    columns: Floats,
+    starts: Integers,
+    thickness: float,
+    clearance: float,
+    clutter: float,
+    first_slot: int,
+    end_slot: int,
 ) -> tuple[Floats, Floats, Integers, Booleans]:
-    heights = np.empty(len(columns), np.float64)
-    spreads = np.empty(len(columns), np.float64)
-    slots = np.empty(len(columns), np.int64)
-    bare = np.zeros(len(columns), np.bool_)
+    most = starts[end_slot] - starts[first_slot]
+    heights = np.empty(most, np.float64)
+    spreads = np.empty(most, np.float64)
+    slots = np.empty(most, np.int64)
+    bare = np.empty(most, np.bool_)
     found = 0
-    for slot in range(len(starts) - 1):
+    for slot in range(first_slot, end_slot):
         first, end = starts[slot], starts[slot + 1]
         if first == end:
             continue
@@ -80,29 +96,30 @@ def _find_levels(
             if above - top > clutter * (top - bottom):
                 continue
             if columns[bottom] > columns[kept_top - 1]:
-                heights[found], spreads[found] = _mean_and_spread(columns[kept_first:kept_top])
+                heights[found], spreads[found] = _mean_and_spread(columns, kept_first, kept_top)
                 slots[found], bare[found] = slot, kept_bare
                 found += 1
                 kept_first, kept_top, kept_bare = bottom, top, False
             elif top - bottom > kept_top - kept_first:
                 kept_first, kept_top = bottom, top
             kept_bare = kept_bare or bottom == first
-        heights[found], spreads[found] = _mean_and_spread(columns[kept_first:kept_top])
+        heights[found], spreads[found] = _mean_and_spread(columns, kept_first, kept_top)
         slots[found], bare[found] = slot, kept_bare
         found += 1
-    return heights[:found].copy(), spreads[:found].copy(), slots[:found].copy(), bare[:found].copy()
+    return heights[:found], spreads[:found], slots[:found], bare[:found]
 
 
 @compiled
-def _mean_and_spread(layer: Floats) -> tuple[float, float]:
+def _mean_and_spread(heights: Floats, first: int, end: int) -> tuple[float, float]:
     # relative to the lowest point: the result does not lose digits far from z = 0
+    lowest = heights[first]
     total = 0.0
     squares = 0.0
-    for height in layer:
-        rise = height - layer[0]
+    for place in range(first, end):
+        rise = heights[place] - lowest
         total += rise
         squares += rise * rise
-    mean = total / len(layer)
-    if len(layer) < _FEWEST_FOR_SPREAD:
-        return layer[0] + mean, -1.0
-    return layer[0] + mean, np.sqrt(max(squares / len(layer) - mean * mean, 0.0))
+    mean = total / (end - first)
+    if end - first < _FEWEST_FOR_SPREAD:
+        return lowest + mean, -1.0
+    return lowest + mean, np.sqrt(max(squares / (end - first) - mean * mean, 0.0))

@@ -1,5 +1,7 @@
 """Slope-limited morphological opening of the levels, storey by storey."""
 
+from functools import partial
+
 import numpy as np
 
 from dynahull.compilation import compiled
@@ -15,11 +17,17 @@ from dynahull.ground.lattice import (
 )
 from dynahull.ground.levels import Levels
 from dynahull.ground.parameters import SlopeParameters
+from dynahull.threads import over_ranges, range_bounds
 
 __all__ = ["stand_out"]
 
+_SMALLEST_RANGE = 500
+"""Levels."""
 
-def stand_out(levels: Levels, lattice: Lattice, p: SlopeParameters, storey: float) -> Booleans:
+
+def stand_out(
+    levels: Levels, lattice: Lattice, p: SlopeParameters, storey: float, threads: int = 1
+) -> Booleans:
     """Tell which levels belong to objects that stand on the ground.
 
     After Pingel, Clarke and McBride (2013), section 2.2: the surface is opened by disks whose
@@ -33,75 +41,83 @@ def stand_out(levels: Levels, lattice: Lattice, p: SlopeParameters, storey: floa
     without a level are passed over, not filled.
     """
     offsets = disk_offsets(p.window / p.cell)
-    distances = distances_of(offsets, p.cell)
     radii = p.cell * np.arange(1, int(p.window / p.cell) + 1)
-    return _stand_out(
-        levels.heights,
-        levels.slots,
-        starts_of(levels.slots, lattice.slot_count),
-        lattice.neighbours,
-        offsets,
-        np.searchsorted(distances, radii, side="right"),
-        p.step + p.slope * radii,
-        storey,
-    )
-
-
-@compiled
-def _stand_out(
-    heights: Floats,
-    slots: Integers,
-    starts: Integers,
-    neighbours: Integers,
-    offsets: Integers,
-    disks: Integers,
-    limits: Floats,
-    storey: float,
-) -> Booleans:
-    eroded = heights.copy()
-    opened = heights.copy()
+    disks = np.searchsorted(distances_of(offsets, p.cell), radii, side="right")
+    heights, slots = levels.heights, levels.slots
+    starts = starts_of(slots, lattice.slot_count)
+    eroded, opened = heights.copy(), heights.copy()
     objects = np.zeros(len(heights), np.bool_)
-    ring = 1
-    for growth in range(len(disks)):
-        disk = disks[growth]
-        _erode(eroded, heights, slots, starts, neighbours, offsets[ring:disk], storey)
-        ring = disk
-        for level in range(len(heights)):
-            highest = eroded[level]
-            for k in range(1, disk):
-                if highest >= opened[level]:
-                    break
-                slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
-                if slot < 0:
-                    continue
-                for other in range(starts[slot], starts[slot + 1]):
-                    if -storey <= heights[other] - heights[level] <= storey / 2:
-                        highest = max(highest, eroded[other])
-                        break
-            lowered = min(highest, opened[level])
-            if opened[level] - lowered > limits[growth]:
-                objects[level] = True
-            opened[level] = lowered
+    bounds = range_bounds(len(heights), threads, _SMALLEST_RANGE)
+    surroundings = (heights, slots, starts, lattice.neighbours)
+    smaller = 1
+    for disk, limit in zip(disks, p.step + p.slope * radii, strict=True):
+        ring, window = offsets[smaller:disk], offsets[1:disk]
+        over_ranges(partial(_erode, *surroundings, ring, storey, eroded), bounds, threads)
+        over_ranges(
+            partial(_open, *surroundings, window, storey, limit, eroded, opened, objects),
+            bounds,
+            threads,
+        )
+        smaller = disk
     return objects
 
 
 @compiled
 def _erode(
-    eroded: Floats,
     heights: Floats,
     slots: Integers,
     starts: Integers,
     neighbours: Integers,
     ring: Integers,
     storey: float,
+    eroded: Floats,
+    first_level: int,
+    end_level: int,
 ) -> None:
     """Widen the erosion by a ring: that by a disk is that by the smaller one, and the ring's."""
-    for level in range(len(heights)):
+    for level in range(first_level, end_level):
+        lowest = eroded[level]
         for k in range(len(ring)):
             slot = slot_at(slots[level], ring[k, 0], ring[k, 1], neighbours)
             if slot < 0:
                 continue
             for other in range(starts[slot], starts[slot + 1]):
                 if abs(heights[other] - heights[level]) <= storey:
-                    eroded[level] = min(eroded[level], heights[other])
+                    lowest = min(lowest, heights[other])
                     break
+        eroded[level] = lowest
+
+
+@compiled
+def _open(
+    heights: Floats,
+    slots: Integers,
+    starts: Integers,
+    neighbours: Integers,
+    window: Integers,
+    storey: float,
+    limit: float,
+    eroded: Floats,
+    opened: Floats,
+    objects: Booleans,
+    first_level: int,
+    end_level: int,
+) -> None:
+    """Lower the opened surface to the dilation of the eroded one, and say what that lowers."""
+    for level in range(first_level, end_level):
+        if objects[level]:
+            continue
+        highest = eroded[level]
+        for k in range(len(window)):
+            if highest >= opened[level]:
+                break
+            slot = slot_at(slots[level], window[k, 0], window[k, 1], neighbours)
+            if slot < 0:
+                continue
+            for other in range(starts[slot], starts[slot + 1]):
+                if -storey <= heights[other] - heights[level] <= storey / 2:
+                    highest = max(highest, eroded[other])
+                    break
+        lowered = min(highest, opened[level])
+        objects[level] = opened[level] - lowered > limit
+        opened[level] = lowered

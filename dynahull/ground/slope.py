@@ -11,26 +11,24 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahull.compilation import compiled, compiling, inlined
+from dynahull.compilation import compiled, compiling
 from dynahull.ground.candidates import FLAT_RADIUS, are_flat, are_floors
-from dynahull.ground.feet import are_feet
-from dynahull.ground.lattice import (
-    Booleans,
-    Floats,
-    Integers,
-    build_lattice,
-    sort_heights,
-    starts_of,
-)
+from dynahull.ground.columns import sort_columns
+from dynahull.ground.decision import decide
+from dynahull.ground.lattice import Booleans, Floats, Integers, build_lattice
 from dynahull.ground.levels import find_levels
 from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import SlopeParameters
-from dynahull.ground.surface import HEIGHT, NOISE, SLOPE_X, SLOPE_Y, fit_surface
+from dynahull.ground.surface import fit_surface, height_over
+from dynahull.threads import over_ranges, range_bounds
 
 __all__ = ["compile_once", "height_above", "height_reach", "slope_ground", "slope_radius"]
 
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
+
+_SMALLEST_RANGE = 20_000
+"""Points."""
 
 
 @lru_cache(maxsize=1)
@@ -41,7 +39,7 @@ def compile_once() -> None:
         height_above(corner, slope_ground(corner, SlopeParameters()), SlopeParameters())
 
 
-def slope_ground(points: Floats, p: SlopeParameters) -> Booleans:
+def slope_ground(points: Floats, p: SlopeParameters, threads: int = 1) -> Booleans:
     """Tell which points are ground.
 
     Parameters
@@ -50,6 +48,8 @@ def slope_ground(points: Floats, p: SlopeParameters) -> Booleans:
         Finite coordinates, metres.
     p : SlopeParameters
         See there.
+    threads : int
+        They change nothing about the result.
 
     Returns
     -------
@@ -60,31 +60,18 @@ def slope_ground(points: Floats, p: SlopeParameters) -> Booleans:
     clearance = np.inf if p.clearance is None else p.clearance
     storey = _STOREY_TO_CLEARANCE * clearance
     reach = max(p.window, p.storey_radius, p.extension, FLAT_RADIUS * p.cell)
-    lattice = build_lattice(points, p.cell, reach)
-    starts = starts_of(lattice.slots, lattice.slot_count)
-    columns = sort_heights(points[:, 2], lattice.slots, starts)
+    lattice = build_lattice(points, p.cell, reach, threads)
+    columns = sort_columns(points, lattice, threads)
 
-    levels = find_levels(columns, starts, p.level, clearance, p.clutter)
-    levels = levels.keep(are_flat(levels, lattice, p))
+    levels = find_levels(columns, p.level, clearance, p.clutter, threads)
+    levels = levels.keep(are_flat(levels, lattice, p, threads))
     if p.clearance is not None:
-        levels = levels.keep(are_floors(levels, columns, starts, lattice, p, p.clearance))
-    levels = levels.keep(~stand_out(levels, lattice, p, storey))
+        levels = levels.keep(are_floors(levels, columns, lattice, p, p.clearance, threads))
+    levels = levels.keep(~stand_out(levels, lattice, p, storey, threads))
 
-    occupied = np.flatnonzero(np.diff(starts))
-    surface = fit_surface(levels, lattice, occupied, p.extension, storey / 2, p.level)
-    surface_heights, tolerances = _nearest_surface(
-        points,
-        lattice.slots,
-        surface.planes,
-        surface.starts,
-        p.cell,
-        np.array([p.tolerance, p.slope_tolerance, p.noise_tolerance, p.tolerance_limit]),
-        p.steepest,
-    )
-    near = np.abs(points[:, 2] - surface_heights) <= tolerances
-    if p.clearance is None:
-        return near
-    return near & ~are_feet(points, near, surface_heights, tolerances, p)
+    occupied = np.diff(columns.starts) > 0
+    surface = fit_surface(levels, lattice, occupied, p.extension, storey / 2, p.level, threads)
+    return decide(points, columns, surface, p, threads)
 
 
 def slope_radius(p: SlopeParameters) -> float:
@@ -100,7 +87,7 @@ def height_reach(p: SlopeParameters) -> float:
     return p.extension + np.sqrt(2.0) * p.cell
 
 
-def height_above(points: Floats, ground: Booleans, p: SlopeParameters) -> Floats:
+def height_above(points: Floats, ground: Booleans, p: SlopeParameters, threads: int = 1) -> Floats:
     """Return the height above the nearest floor beneath each point, metres, (N,).
 
     The floor is the plane through the ground points of the cells within `extension`, of the
@@ -108,50 +95,22 @@ def height_above(points: Floats, ground: Booleans, p: SlopeParameters) -> Floats
     where there is no ground near.
     """
     clearance = np.inf if p.clearance is None else p.clearance
-    lattice = build_lattice(points, p.cell, p.extension)
-    slots = lattice.slots[ground]
-    starts = starts_of(slots, lattice.slot_count)
-    columns = sort_heights(points[ground, 2], slots, starts)
+    lattice = build_lattice(points, p.cell, p.extension, threads)
+    columns = sort_columns(points[ground], lattice._replace(slots=lattice.slots[ground]), threads)
     thickness = 2 * p.tolerance_limit
-    levels = find_levels(columns, starts, thickness, clearance / 2, 1.0)
-    occupied = np.flatnonzero(np.bincount(lattice.slots, minlength=lattice.slot_count))
-    surface = fit_surface(levels, lattice, occupied, p.extension, clearance / 2, thickness)
-    return _height_above(
-        points, lattice.slots, surface.planes, surface.starts, p.cell, p.tolerance_limit
-    )
-
-
-@inlined
-def _height_over(point: Floats, plane: Floats, cell: float) -> float:
-    dx = point[0] - (np.floor(point[0] / cell) + 0.5) * cell
-    dy = point[1] - (np.floor(point[1] / cell) + 0.5) * cell
-    return point[2] - plane[HEIGHT] - plane[SLOPE_X] * dx - plane[SLOPE_Y] * dy
-
-
-@compiled
-def _nearest_surface(
-    points: Floats,
-    slots: Integers,
-    planes: Floats,
-    starts: Integers,
-    cell: float,
-    tolerances: Floats,
-    steepest: float,
-) -> tuple[Floats, Floats]:
-    """Return the height of the surface nearest to each point (NaN: none), and its tolerance."""
-    base, per_slope, per_noise, limit = tolerances
+    levels = find_levels(columns, thickness, clearance / 2, 1.0, threads)
+    occupied = np.zeros(lattice.slot_count, np.bool_)
+    occupied[lattice.slots] = True
+    surface = fit_surface(levels, lattice, occupied, p.extension, clearance / 2, thickness, threads)
     heights = np.full(len(points), np.nan)
-    widths = np.zeros(len(points), np.float64)
-    for point in range(len(points)):
-        nearest = np.inf
-        for k in range(starts[slots[point]], starts[slots[point] + 1]):
-            slope = np.hypot(planes[k, SLOPE_X], planes[k, SLOPE_Y])
-            height = _height_over(points[point], planes[k], cell)
-            if slope <= steepest and abs(height) < nearest:
-                nearest = abs(height)
-                heights[point] = points[point, 2] - height
-                widths[point] = min(base + per_slope * slope + per_noise * planes[k, NOISE], limit)
-    return heights, widths
+    over_ranges(
+        lambda first, end: _height_above(
+            points, lattice.slots, *surface, p.cell, p.tolerance_limit, first, end, heights
+        ),
+        range_bounds(len(points), threads, _SMALLEST_RANGE),
+        threads,
+    )
+    return heights
 
 
 @compiled
@@ -162,11 +121,12 @@ def _height_above(
     starts: Integers,
     cell: float,
     tolerance: float,
-) -> Floats:
-    heights = np.full(len(points), np.nan)
-    for point in range(len(points)):
+    first_point: int,
+    end_point: int,
+    heights: Floats,
+) -> None:
+    for point in range(first_point, end_point):
         for k in range(starts[slots[point]], starts[slots[point] + 1]):
-            height = _height_over(points[point], planes[k], cell)
+            height = height_over(points[point], planes[k], cell)
             if np.isnan(heights[point]) or height >= -tolerance:
                 heights[point] = height
-    return heights

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, inlined
 from dynahull.ground.lattice import (
+    Booleans,
     Floats,
     Integers,
     Lattice,
@@ -14,14 +15,18 @@ from dynahull.ground.lattice import (
     starts_of,
 )
 from dynahull.ground.levels import Levels
+from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["HEIGHT", "NOISE", "SLOPE_X", "SLOPE_Y", "Surface", "fit_surface"]
+__all__ = ["HEIGHT", "NOISE", "SLOPE_X", "SLOPE_Y", "Surface", "fit_surface", "height_over"]
 
 HEIGHT, SLOPE_X, SLOPE_Y, NOISE = range(4)
 """Columns of `Surface.planes`."""
 
 _SUPPORT = 12
 """Levels that a plane is fitted to, at most: the nearest."""
+
+_SMALLEST_RANGE = 500
+"""Cells."""
 
 _STOREYS = 16
 """Storeys above each other in one column, at most; further ones are not fitted."""
@@ -48,10 +53,11 @@ class Surface(NamedTuple):
 def fit_surface(
     levels: Levels,
     lattice: Lattice,
-    occupied: Integers,
+    occupied: Booleans,
     extension: float,
     storey: float,
     thickness: float,
+    threads: int = 1,
 ) -> Surface:
     """Fit planes to the ground levels near each occupied cell.
 
@@ -61,29 +67,69 @@ def fit_surface(
         Those of the ground.
     lattice : Lattice
         Where their columns are.
-    occupied : (C,) int64 array
-        Slots to fit planes for, ascending.
+    occupied : (slots,) bool array
+        Slots to fit planes for.
     extension : float
         How far from a cell levels count, metres.
     storey : float
         Levels closer in height than this belong to one plane, metres.
     thickness : float
         Of a layer, metres: its spread where it has too few points is that of an even layer.
+    threads : int
+        They change nothing about the result.
     """
-    planes, counts = _fit_planes(
-        levels.heights,
-        levels.spreads,
-        starts_of(levels.slots, lattice.slot_count),
-        lattice.neighbours,
-        occupied,
-        disk_offsets(extension / lattice.cell),
-        lattice.cell,
-        storey,
-        thickness / np.sqrt(12.0),
+    offsets = disk_offsets(extension / lattice.cell)
+    near = np.zeros(lattice.slot_count, np.bool_)
+    over_ranges(
+        lambda first, end: _mark_near(levels.slots, lattice.neighbours, offsets, first, end, near),
+        range_bounds(len(levels.slots), threads, _SMALLEST_RANGE),
+        threads,
+    )
+    wanted = np.flatnonzero(near & occupied)
+    level_starts = starts_of(levels.slots, lattice.slot_count)
+    fitted = over_ranges(
+        lambda first, end: _fit_planes(
+            levels.heights,
+            levels.spreads,
+            level_starts,
+            lattice.neighbours,
+            wanted[first:end],
+            offsets,
+            lattice.cell,
+            storey,
+            thickness / np.sqrt(12.0),
+        ),
+        range_bounds(len(wanted), threads, _SMALLEST_RANGE),
+        threads,
     )
     starts = np.zeros(lattice.slot_count + 1, np.int64)
-    starts[occupied + 1] = counts
-    return Surface(planes[: counts.sum()].copy(), np.cumsum(starts))
+    starts[wanted + 1] = np.concatenate([counts for _, counts in fitted])
+    planes = np.concatenate([planes for planes, _ in fitted])
+    return Surface(planes, np.cumsum(starts, out=starts))
+
+
+@inlined
+def height_over(point: Floats, plane: Floats, cell: float) -> float:
+    """Return the height of a point over a plane of its cell, metres."""
+    dx = point[0] - (np.floor(point[0] / cell) + 0.5) * cell
+    dy = point[1] - (np.floor(point[1] / cell) + 0.5) * cell
+    return point[2] - plane[HEIGHT] - plane[SLOPE_X] * dx - plane[SLOPE_Y] * dy
+
+
+@compiled
+def _mark_near(
+    slots: Integers,
+    neighbours: Integers,
+    offsets: Integers,
+    first_level: int,
+    end_level: int,
+    near: Booleans,
+) -> None:
+    for level in range(first_level, end_level):
+        for k in range(len(offsets)):
+            slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
+            if slot >= 0:
+                near[slot] = True
 
 
 @compiled
@@ -133,7 +179,7 @@ def _fit_planes(
             found += 1
             bases[lowest] = np.inf
         counts[place] = storeys
-    return planes, counts
+    return planes[:found], counts
 
 
 # Loops in place of slices and sorts: compiled, those take ten seconds to compile and are no faster.

@@ -12,11 +12,17 @@ from dynahull.ground import (
     ClothParameters,
     GroundParameters,
     SlopeParameters,
+    candidates,
+    columns,
     ground_mask,
     ground_radius,
     height_above_ground,
     height_radius,
+    lattice,
+    opening,
+    surface,
 )
+from dynahull.ground import slope as slope_module
 
 DEFAULT = GroundParameters()
 SMALL = GroundParameters(slope=SlopeParameters(window=1.0, storey_radius=1.0, extension=0.5))
@@ -112,6 +118,25 @@ def test_the_order_of_points_does_not_matter(seed):
     points, _ = room(random, size=4.0)
     order = random.permutation(len(points))
     assert np.array_equal(ground_mask(points, DEFAULT)[order], ground_mask(points[order], DEFAULT))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5), st.booleans(), st.integers(0, 6000))
+def test_the_number_of_threads_does_not_matter(seed, threads, outdoor, count):
+    random = np.random.default_rng(seed)
+    points, _ = room(random, size=6.0, density=60)
+    points = random.permutation(points)[:count]
+    slope = SlopeParameters(clearance=None) if outdoor else SlopeParameters()
+    parameters = GroundParameters(slope=slope)
+    ground = ground_mask(points, parameters)
+    height = height_above_ground(points, ground, parameters)
+    with pytest.MonkeyPatch.context() as patch:
+        # so that a small map is cut into as many ranges as a large one
+        for step in (candidates, columns, lattice, opening, slope_module, surface):
+            patch.setattr(step, "_SMALLEST_RANGE", 20)
+        assert np.array_equal(ground_mask(points, parameters, threads=threads), ground)
+        again = height_above_ground(points, ground, parameters, threads=threads)
+    assert np.array_equal(again, height, equal_nan=True)
 
 
 def test_a_point_far_away_changes_nothing_and_costs_little():

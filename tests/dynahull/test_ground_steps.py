@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pytest import MonkeyPatch
 from scipy import ndimage
 
 from dynahull.ground import GroundParameters, SlopeParameters, ground_mask, ground_radius
-from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets, sort_heights, starts_of
+from dynahull.ground import columns as columns_module
+from dynahull.ground import lattice as lattice_module
+from dynahull.ground.columns import Columns, sort_columns
+from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets
 from dynahull.ground.levels import Levels, find_levels
 from dynahull.ground.opening import stand_out
 from dynahull.ground.surface import HEIGHT, NOISE, SLOPE_X, SLOPE_Y, fit_surface
@@ -56,6 +60,37 @@ def test_a_tile_of_the_building_gets_the_labels_of_the_whole():
 
 
 @settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 300),
+    st.sampled_from([0.01, 1.0, 300.0]),
+    st.integers(0, 3),
+    st.integers(2, 4),
+)
+def test_columns_hold_every_point_from_the_lowest_up(seed, count, size, decimals, threads):
+    random = np.random.default_rng(seed)
+    points = np.round(random.uniform(-size, size, (count, 3)), decimals)
+    with MonkeyPatch.context() as patch:
+        patch.setattr(columns_module, "_SMALLEST_RANGE", 10)
+        patch.setattr(lattice_module, "_SMALLEST_RANGE", 10)
+        lattice = build_lattice(points, 0.5, 1.0, threads)
+        columns = sort_columns(points, lattice, threads)
+    blocks, local = lattice.blocks[lattice.slots // BLOCK**2], lattice.slots % BLOCK**2
+    cells = blocks * BLOCK + np.column_stack([local // BLOCK, local % BLOCK])
+    assert np.array_equal(cells, np.floor(points[:, :2] / 0.5))
+    assert np.array_equal(np.sort(columns.rows), np.arange(count))
+    assert np.array_equal(columns.heights, points[columns.rows, 2])
+    assert np.array_equal(columns.rows, np.lexsort([np.arange(count), points[:, 2], lattice.slots]))
+    slots = np.repeat(np.arange(lattice.slot_count), np.diff(columns.starts))
+    assert np.array_equal(slots, lattice.slots[columns.rows])
+    known = {tuple(block): number for number, block in enumerate(lattice.blocks)}
+    for number, block in enumerate(lattice.blocks):
+        for i, j in np.ndindex(lattice.neighbours.shape[1:]):
+            other = (block[0] + i - 1, block[1] + j - 1)
+            assert lattice.neighbours[number, i, j] == known.get(other, -1)
+
+
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 5))
 def test_the_opening_is_that_of_a_grey_image(seed, window):
     random = np.random.default_rng(seed)
@@ -86,14 +121,16 @@ def test_the_opening_is_that_of_a_grey_image(seed, window):
     assert np.array_equal(objects.reshape(image.shape), expected)
 
 
+def one_column(heights):
+    return Columns(heights, np.arange(len(heights)), np.array([0, len(heights)]))
+
+
 def test_levels_have_free_height_above_them_and_the_lowest_is_always_one():
     floor = np.linspace(0.0, 0.08, 20)
     shelf = [0.9, 0.91]
     upper = np.linspace(3.0, 3.05, 10)
     ghost = [3.9]
-    columns = np.concatenate([floor, shelf, upper, ghost])
-    starts = np.array([0, len(columns)])
-    levels = find_levels(columns, starts, 0.1, 1.8, 0.2)
+    levels = find_levels(one_column(np.concatenate([floor, shelf, upper, ghost])), 0.1, 1.8, 0.2)
     # two points of a shelf hide no floor of twenty, one of a ghost none of ten
     assert levels.heights == pytest.approx([0.04, 0.905, 3.025, 3.9])
     assert levels.bare.tolist() == [True, False, False, False]
@@ -101,7 +138,7 @@ def test_levels_have_free_height_above_them_and_the_lowest_is_always_one():
     assert levels.spreads[-1] == -1.0
 
     crowded = np.sort(np.concatenate([floor, np.linspace(0.2, 1.5, 60)]))
-    levels = find_levels(crowded, np.array([0, len(crowded)]), 0.1, 1.8, 0.2)
+    levels = find_levels(one_column(crowded), 0.1, 1.8, 0.2)
     assert levels.heights[0] == pytest.approx(0.04)
     assert not levels.bare[0]
 
@@ -111,11 +148,11 @@ def test_planes_follow_a_slope_and_know_its_noise():
     points = random.uniform(-4, 4, (60_000, 3))
     points[:, 2] = 5 + 0.2 * points[:, 0] - 0.1 * points[:, 1] + random.normal(0, 0.01, 60_000)
     lattice = build_lattice(points, 0.25, 1.0)
-    starts = starts_of(lattice.slots, lattice.slot_count)
-    columns = sort_heights(points[:, 2], lattice.slots, starts)
-    levels = find_levels(columns, starts, 0.2, np.inf, 1.0)
-    occupied = np.flatnonzero(np.diff(starts))
-    surface = fit_surface(levels, lattice, occupied, 1.0, np.inf, 0.2)
+    columns = sort_columns(points, lattice)
+    levels = find_levels(columns, 0.2, np.inf, 1.0)
+    filled = np.diff(columns.starts) > 0
+    surface = fit_surface(levels, lattice, filled, 1.0, np.inf, 0.2)
+    occupied = np.flatnonzero(filled)
     blocks = lattice.blocks[occupied // BLOCK**2]
     local = occupied % BLOCK**2
     x = (blocks[:, 0] * BLOCK + local // BLOCK + 0.5) * 0.25

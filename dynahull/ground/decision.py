@@ -1,0 +1,177 @@
+"""Which points are ground: those near its surface, but for the feet of what stands on it.
+
+A wall or a walker reaches down to the floor, and its lowest points lie as near to the floor's
+surface as the floor's own. Within a quarter of a cell it is decided by the majority: where more
+than `foot` times as many points follow above as there are near the surface, they are a foot.
+"""
+
+import numpy as np
+
+from dynahull.compilation import compiled
+from dynahull.ground.columns import Columns, first_above, first_from
+from dynahull.ground.lattice import FARTHEST_CELL, Booleans, Floats, Integers
+from dynahull.ground.parameters import SlopeParameters
+from dynahull.ground.surface import NOISE, SLOPE_X, SLOPE_Y, Surface, height_over
+from dynahull.threads import over_ranges
+
+__all__ = ["decide"]
+
+_PARTS = 4
+"""Feet are looked for in so many times smaller cells: about as wide as a wall is thick."""
+
+_FOOT_HEIGHT = 0.3
+"""Metres; what stands on the ground is looked for so high above it."""
+
+
+def decide(
+    points: Floats, columns: Columns, surface: Surface, p: SlopeParameters, threads: int = 1
+) -> Booleans:
+    """Tell which points are ground.
+
+    Parameters
+    ----------
+    points : (N, 3) float64 array
+        Metres.
+    columns : Columns
+        The same points by cell.
+    surface : Surface
+        Of the ground, over the same cells.
+    p : SlopeParameters
+        The tolerances, `steepest`, `cell` and `foot` are used.
+    threads : int
+        They change nothing about the result.
+
+    Returns
+    -------
+    (N,) bool array
+    """
+    ground = np.zeros(len(points), np.bool_)
+    tolerances = np.array([p.tolerance, p.slope_tolerance, p.noise_tolerance, p.tolerance_limit])
+    foot = np.inf if p.clearance is None else p.foot
+    over_ranges(
+        lambda first, end: _decide(
+            points, *columns, *surface, tolerances, p.steepest, p.cell, foot, first, end, ground
+        ),
+        columns.bounds(threads),
+        threads,
+    )
+    return ground
+
+
+@compiled
+def _decide(
+    points: Floats,
+    heights: Floats,
+    rows: Integers,
+    starts: Integers,
+    planes: Floats,
+    plane_starts: Integers,
+    tolerances: Floats,
+    steepest: float,
+    cell: float,
+    foot: float,
+    first_slot: int,
+    end_slot: int,
+    ground: Booleans,
+) -> None:
+    longest = 0
+    for slot in range(first_slot, end_slot):
+        longest = max(longest, starts[slot + 1] - starts[slot])
+    bottoms, tops = np.empty(longest, np.float64), np.empty(longest, np.float64)
+    parts = np.empty(longest, np.int64)
+    part_heights = np.empty(longest, np.float64)
+    part_starts = np.empty(_PARTS * _PARTS + 1, np.int64)
+    for slot in range(first_slot, end_slot):
+        first, end = starts[slot], starts[slot + 1]
+        lowest, highest = plane_starts[slot], plane_starts[slot + 1]
+        if first == end or lowest == highest:
+            continue
+        near = 0
+        for place in range(first, end):
+            row = rows[place]
+            bottom, top = _layer_about(
+                points[row], planes, lowest, highest, tolerances, steepest, cell
+            )
+            bottoms[place - first], tops[place - first] = bottom, top
+            ground[row] = top >= bottom
+            near += ground[row]
+            i, j = _part_of(points[row, 0] / cell), _part_of(points[row, 1] / cell)
+            parts[place - first] = i * _PARTS + j
+        if near == 0 or foot == np.inf:
+            continue
+        _sort_parts(heights, first, end, parts, part_heights, part_starts)
+        for place in range(end - first):
+            row = rows[first + place]
+            part = parts[place]
+            lower, upper = part_starts[part], part_starts[part + 1]
+            if ground[row] and _is_foot(
+                part_heights, lower, upper, bottoms[place], tops[place], foot
+            ):
+                ground[row] = False
+
+
+@compiled
+def _layer_about(
+    point: Floats,
+    planes: Floats,
+    first: int,
+    end: int,
+    tolerances: Floats,
+    steepest: float,
+    cell: float,
+) -> tuple[float, float]:
+    """Return bottom and top of the surface's layer at a point, or (0, -1) if it is not in one."""
+    base, per_slope, per_noise, limit = tolerances
+    nearest, width = np.inf, 0.0
+    surface = 0.0
+    for k in range(first, end):
+        height = height_over(point, planes[k], cell)
+        if abs(height) >= nearest:
+            continue
+        slope = np.hypot(planes[k, SLOPE_X], planes[k, SLOPE_Y])
+        if slope <= steepest:
+            nearest = abs(height)
+            surface = point[2] - height
+            width = min(base + per_slope * slope + per_noise * planes[k, NOISE], limit)
+    if nearest < np.inf and abs(point[2] - surface) <= width:
+        return surface - width, surface + width
+    return 0.0, -1.0
+
+
+@compiled
+def _part_of(coordinate: float) -> int:
+    """Return the part of its cell along one axis, of a coordinate in cells."""
+    part = int(np.floor(_PARTS * min(max(coordinate, -FARTHEST_CELL), FARTHEST_CELL)))
+    return part & (_PARTS - 1)
+
+
+@compiled
+def _sort_parts(
+    heights: Floats,
+    first: int,
+    end: int,
+    parts: Integers,
+    part_heights: Floats,
+    part_starts: Integers,
+) -> None:
+    """Sort a column's heights by part; those of a part stay sorted."""
+    for part in range(len(part_starts)):
+        part_starts[part] = 0
+    for place in range(end - first):
+        part_starts[parts[place]] += 1
+    total = 0
+    for part in range(len(part_starts)):
+        total += part_starts[part]
+        part_starts[part] = total
+    for place in range(end - first - 1, -1, -1):
+        part_starts[parts[place]] -= 1
+        part_heights[part_starts[parts[place]]] = heights[first + place]
+
+
+@compiled
+def _is_foot(heights: Floats, first: int, end: int, bottom: float, top: float, foot: float) -> bool:
+    """Whether more points follow above the layer than `foot` times those within it."""
+    lower = first_from(heights, first, end, bottom)
+    upper = first_above(heights, lower, end, top)
+    above = first_above(heights, upper, end, top + _FOOT_HEIGHT) - upper
+    return above > foot * (upper - lower)

@@ -1,0 +1,61 @@
+"""Work on ranges of an array, by several threads; compiled and NumPy code holds no lock."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Result = TypeVar("_Result")
+
+_PIECES_PER_THREAD = 4
+"""More pieces than threads: some are harder than others."""
+
+
+def range_bounds(count: int, threads: int, smallest: int) -> list[int]:
+    """Cut `count` items into ranges of nearly equal length.
+
+    Parameters
+    ----------
+    count : int
+        Items.
+    threads : int
+        One range for one thread, and several a thread for more.
+    smallest : int
+        Items in a range, at least, if there are as many: fewer are not worth a thread's start.
+
+    Returns
+    -------
+    list of int
+        Where the ranges begin, and the end of the last.
+    """
+    pieces = 1 if threads == 1 else min(_PIECES_PER_THREAD * threads, count // smallest)
+    return [count * piece // max(pieces, 1) for piece in range(max(pieces, 1) + 1)]
+
+
+def group_bounds(starts: NDArray[np.int64], threads: int, smallest: int) -> list[int]:
+    """Cut groups of items into ranges of groups that hold nearly the same number of items.
+
+    Parameters
+    ----------
+    starts : (groups + 1,) int64 array
+        Where each group's items begin, and the end of the last.
+    threads, smallest : int
+        See `range_bounds`; `smallest` is a number of items.
+    """
+    wanted = range_bounds(int(starts[-1]), threads, smallest)[1:-1]
+    inner = np.searchsorted(starts[:-1], wanted) if wanted else ()
+    return [0, *(int(bound) for bound in inner), len(starts) - 1]
+
+
+def over_ranges(
+    work: Callable[[int, int], _Result], bounds: list[int], threads: int
+) -> list[_Result]:
+    """Call `work(first, end)` for each range, by several threads; the results in their order."""
+    ranges = list(pairwise(bounds))
+    if threads == 1 or len(ranges) == 1:
+        return [work(first, end) for first, end in ranges]
+    with ThreadPoolExecutor(min(threads, len(ranges))) as executor:
+        return list(executor.map(lambda piece: work(*piece), ranges))
