@@ -61,7 +61,7 @@ class ParallelLazPoints:
         Parameters
         ----------
         records : (n, record_length) uint8 array
-            Where the next n points go.
+            Where the next n points go; contiguous.
 
         Raises
         ------
@@ -72,26 +72,31 @@ class ParallelLazPoints:
         done = 0
         while done < len(records):
             if not len(self._ready):
-                self._decompress_next_chunks()
+                done += self._decompress_next_chunks(records[done:])
             count = min(len(records) - done, len(self._ready))
             records[done : done + count] = self._ready[:count]
             self._ready = self._ready[count:]
             done += count
 
-    def _decompress_next_chunks(self) -> None:
+    def _decompress_next_chunks(self, room: NDArray[np.uint8]) -> int:
+        """Decompress into the room where all that comes out is wanted and fits, else aside.
+
+        Returns
+        -------
+        int
+            Points that are now in the room.
+        """
         chunks = list(islice(self._chunks, self._threads))
         if not chunks:
             raise MapFormatError(
-                self._header.path,
-                f"{self._header.point_count} points",
-                "chunks of fewer",
+                self._header.path, f"{self._header.point_count} points", "chunks of fewer"
             )
         first_row = chunks[0].first_row
+        passed_over = max(self._rows.start - first_row, 0)
         table = [(self._wanted(chunk), chunk.end - chunk.start) for chunk in chunks]
         count = sum(points for points, _ in table)
-        if len(self._memory) < count:
-            self._memory = np.empty((count, self._header.record_length), dtype=np.uint8)
-        points = self._memory[:count]
+        fits = passed_over == 0 and count <= len(room)
+        points = room[:count] if fits else self._aside(count)
         self._file.seek(chunks[0].start)
         data = self._file.read(chunks[-1].end - chunks[0].start)
         vlr = self._compression.for_stretch(chunks[0].chunk_size)
@@ -99,7 +104,16 @@ class ParallelLazPoints:
             lazrs.decompress_points_with_chunk_table(data, vlr, points.reshape(-1), table)
         except BaseException as error:
             refuse_points(self._header, first_row, error)
-        self._ready = points[max(self._rows.start - first_row, 0) :]
+        if fits:
+            return count
+        self._ready = points[passed_over:]
+        return 0
+
+    def _aside(self, count: int) -> NDArray[np.uint8]:
+        """Return memory for points that are not handed out at once."""
+        if len(self._memory) < count:
+            self._memory = np.empty((count, self._header.record_length), dtype=np.uint8)
+        return self._memory[:count]
 
     def _wanted(self, chunk: Stretch) -> int:
         """Return how many points of a chunk are to be decompressed, from its first on."""
