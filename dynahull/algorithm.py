@@ -44,7 +44,7 @@ def clean(
     classification : (N,) array_like of int, optional
         ASPRS classes, for `ground.method: las_class`.
     threads : int
-        Threads of the density step. The result does not depend on it.
+        Threads of ground, clustering and density. The result does not depend on it.
     observer : Observer, optional
         Told about stages, progress and warnings.
     **sections
@@ -75,12 +75,14 @@ def clean(
     observer = observer or SilentObserver()
 
     valid = valid_points(coordinates)
-    ground, above = set_ground_aside(coordinates, valid, parameters, classes, observer)
+    ground, above = set_ground_aside(
+        coordinates, valid, parameters, classes, observer, threads=threads
+    )
     rows = np.flatnonzero(valid & ~ground & ~above)
     clusters = find_clusters(
-        coordinates[rows], rows, int(np.count_nonzero(valid)), parameters, observer
+        coordinates.take(rows, axis=0), rows, int(np.count_nonzero(valid)), parameters, observer
     )
-    membership = _membership(clusters.nearest(coordinates[rows]), len(clusters.centroids), rows)
+    membership = _membership(clusters, coordinates, rows, threads)
     densities = _densities(coordinates, membership, parameters, threads, observer)
     percentages = removal_percentages(
         [len(members) for members in membership],
@@ -154,7 +156,10 @@ def valid_points(points: NDArray[np.float64]) -> NDArray[np.bool_]:
         False also where a coordinate is beyond `LARGEST_COORDINATE`: squared distances to such a
         point overflow.
     """
-    return np.asarray((np.abs(points) <= LARGEST_COORDINATE).all(axis=1))
+    if len(points) and -LARGEST_COORDINATE <= points.min() <= points.max() <= LARGEST_COORDINATE:
+        return np.ones(len(points), np.bool_)
+    x, y, z = (np.abs(points[:, axis]) <= LARGEST_COORDINATE for axis in range(3))
+    return np.asarray(x & y & z)
 
 
 def set_ground_aside(
@@ -163,6 +168,8 @@ def set_ground_aside(
     parameters: MethodParameters,
     classification: NDArray[np.uint8] | None,
     observer: Observer,
+    *,
+    threads: int = 1,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Find the ground, and the points too high above it.
 
@@ -176,10 +183,10 @@ def set_ground_aside(
     whole = bool(valid.all())
     finite = points if whole else points[valid]
     classes = classification if whole or classification is None else classification[valid]
-    found = ground_mask(finite, parameters.ground, classes)
+    found = ground_mask(finite, parameters.ground, classes, threads=threads)
     ground[valid] = found
     if parameters.max_height is not None:
-        height = height_above_ground(finite, found, parameters.ground)
+        height = height_above_ground(finite, found, parameters.ground, threads=threads)
         above[valid] = ~found & (height > parameters.max_height)
     observer.advance(len(points))
     return ground, above
@@ -216,12 +223,13 @@ def _chosen_parameters(
 
 
 def _membership(
-    nearest: NDArray[np.int32], count: int, rows: NDArray[np.int64]
+    clusters: Clusters, points: NDArray[np.float64], rows: NDArray[np.int64], threads: int
 ) -> list[NDArray[np.int64]]:
     """Return the rows of each cluster, in order."""
+    nearest = clusters.nearest(points.take(rows, axis=0), threads=threads)
     order = np.argsort(nearest.astype(np.int16), kind="stable")  # short integers: a radix sort
-    ends = np.cumsum(np.bincount(nearest, minlength=count))
-    return np.split(rows[order], ends[:-1]) if count else []
+    ends = np.cumsum(np.bincount(nearest, minlength=len(clusters.centroids)))
+    return np.split(rows[order], ends[:-1]) if len(ends) else []
 
 
 def _densities(
@@ -238,7 +246,9 @@ def _densities(
             observer.warn(f"cluster {index} is empty: nothing to score in it")
         elif len(members) < SMALLEST_CLUSTER:
             observer.warn(f"cluster {index} has {len(members)} points: too few for a hull, kept")
-        densities.append(cluster_densities(points[members], members, parameters, threads, observer))
+        densities.append(
+            cluster_densities(points.take(members, axis=0), members, parameters, threads, observer)
+        )
     return densities
 
 

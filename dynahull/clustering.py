@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from dynahull.parameters import ClusteringParameters
+from dynahull.threads import over_ranges, range_bounds
 
-_ASSIGNMENT_BATCH = 65_536
+_ASSIGNMENT_BATCH = 4_096
+"""Points; all that is computed for them stays in the processor's cache."""
+
+_RANKING_BATCH = 65_536
+_SMALLEST_RANGE = 50_000
+"""Points."""
+
 _FEWEST_SAMPLED = 1_000
 
 
@@ -29,24 +36,25 @@ class Clusters:
 
     centroids: NDArray[np.float64]
 
-    def nearest(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+    def nearest(self, points: NDArray[np.float64], *, threads: int = 1) -> NDArray[np.int32]:
         """Return the index of each point's nearest centroid, the lower one of two equally near.
 
         Parameters
         ----------
         points : (n, 3) float64 array
+        threads : int
+            They change nothing about the result.
 
         Returns
         -------
         (n,) int32 array
         """
-        nearest = np.empty(len(points), np.int32)
-        for start in range(0, len(points), _ASSIGNMENT_BATCH):
-            batch = points[start : start + _ASSIGNMENT_BATCH]
-            # Differences, not the expanded square: exact to the last bit in any batch, and far
-            # from the origin as well.
-            squared = np.stack([_squared_distance(batch, centre) for centre in self.centroids])
-            nearest[start : start + _ASSIGNMENT_BATCH] = np.argmin(squared, axis=0)
+        nearest = np.zeros(len(points), np.int32)
+        over_ranges(
+            lambda first, end: _assign(points[first:end], self.centroids, nearest[first:end]),
+            range_bounds(len(points), threads, _SMALLEST_RANGE),
+            threads,
+        )
         return nearest
 
 
@@ -73,10 +81,12 @@ def sample_rows(
     intp array
         Indices into `rows`, in the order of the row numbers.
     """
-    rank = _random_rank(rows, parameters.seed)
     limit = 2**64 * parameters.sample // max(total, 1)
-    chosen = np.flatnonzero(rank < np.uint64(limit)) if limit < 2**64 else np.arange(len(rows))
+    chosen = np.arange(len(rows))
+    if limit < 2**64:
+        chosen = _ranked_below(limit, rows, parameters.seed)
     if len(chosen) < _FEWEST_SAMPLED < len(rows):
+        rank = _random_rank(rows, parameters.seed)
         chosen = np.argpartition(rank, _FEWEST_SAMPLED - 1)[:_FEWEST_SAMPLED]
     elif len(chosen) < _FEWEST_SAMPLED:
         chosen = np.arange(len(rows))
@@ -97,8 +107,7 @@ def fit_clusters(sample: NDArray[np.float64], parameters: ClusteringParameters) 
     Clusters
         As many as asked for, or as there are distinct points in the sample if those are fewer.
     """
-    distinct = len(np.unique(sample, axis=0))
-    count = min(parameters.count, distinct)
+    count = _distinct_points(sample, parameters.count)
     if count == 0:
         return Clusters(np.empty((0, 3)))
     from sklearn.cluster import MiniBatchKMeans  # noqa: PLC0415 (a second of import time)
@@ -111,11 +120,40 @@ def fit_clusters(sample: NDArray[np.float64], parameters: ClusteringParameters) 
     return Clusters(model.cluster_centers_ + origin)
 
 
-def _squared_distance(
-    points: NDArray[np.float64], centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    dx, dy, dz = (points[:, axis] - centre[axis] for axis in range(3))
-    return np.asarray((dx * dx + dy * dy) + dz * dz)
+def _distinct_points(points: NDArray[np.float64], most: int) -> int:
+    """Count the distinct points, up to `most`; a few of the first are nearly always enough."""
+    few = len(np.unique(points[: 4 * most], axis=0))
+    return min(few if few >= most else len(np.unique(points, axis=0)), most)
+
+
+def _assign(
+    points: NDArray[np.float64], centroids: NDArray[np.float64], nearest: NDArray[np.int32]
+) -> None:
+    """Set the nearest centroid of each point.
+
+    By differences, not the expanded square: exact to the last bit in any batch, and far from the
+    origin as well.
+    """
+    for start in range(0, len(points), _ASSIGNMENT_BATCH):
+        batch = points[start : start + _ASSIGNMENT_BATCH].T.copy()
+        chosen = nearest[start : start + _ASSIGNMENT_BATCH]
+        least = np.full(len(chosen), np.inf)
+        for index, centre in enumerate(centroids):
+            dx, dy, dz = squares = batch - centre[:, None]
+            np.square(squares, out=squares)
+            distance = np.add(np.add(dx, dy, out=dx), dz, out=dx)
+            chosen[distance < least] = index
+            np.minimum(distance, least, out=least)
+
+
+def _ranked_below(limit: int, rows: NDArray[np.int64], seed: int) -> NDArray[np.intp]:
+    """Find the rows whose rank is below the limit."""
+    bound = np.uint64(limit)
+    chosen = [
+        start + np.flatnonzero(_random_rank(rows[start : start + _RANKING_BATCH], seed) < bound)
+        for start in range(0, len(rows), _RANKING_BATCH)
+    ]
+    return np.concatenate(chosen) if chosen else np.zeros(0, np.intp)
 
 
 def _random_rank(rows: NDArray[np.int64], seed: int) -> NDArray[np.uint64]:

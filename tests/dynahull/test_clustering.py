@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynahull import clustering
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.parameters import ClusteringParameters
 
@@ -42,6 +43,21 @@ def test_a_point_belongs_to_its_nearest_centroid_and_to_the_first_of_two():
     np.testing.assert_array_equal(
         clusters.nearest(np.array([[0.4, 0, 0], [1, 5, 5], [1.6, 0, 0]])), [0, 0, 1]
     )
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(0, 3_000), st.integers(2, 4))
+def test_assignment_is_the_nearest_by_any_number_of_threads(seed, count, size, threads):
+    random = np.random.default_rng(seed)
+    # whole numbers: many points have several nearest centroids
+    clusters = Clusters(random.integers(-3, 4, (count, 3)).astype(float))
+    points = random.integers(-3, 4, (size, 3)).astype(float)
+    squared = ((points[:, None] - clusters.centroids) ** 2).sum(axis=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clustering, "_SMALLEST_RANGE", 100)
+        patch.setattr(clustering, "_ASSIGNMENT_BATCH", 37)
+        for number in (1, threads):
+            nearest = clusters.nearest(points, threads=number)
+            np.testing.assert_array_equal(nearest, np.argmin(squared, axis=1))
 
 
 @given(st.integers(1, 7))
