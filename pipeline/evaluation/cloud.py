@@ -1,4 +1,7 @@
-"""The points of a map as the figures need them: finite, in batches, and in a k-d tree."""
+"""The points of a map as the figures need them: finite, in batches, and in a k-d tree.
+
+Finite means here what `valid` means to the method: no coordinate is NaN or beyond 1e150.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -7,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from dynahull.algorithm import valid_points
 from dynahull.progress import Observer
 from pipeline.errors import EvaluationError
 from pipeline.evaluation.labels import Labels
@@ -50,7 +54,7 @@ class Cloud:
     def batches(self) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float64]]]:
         """Yield row numbers, (n,), and coordinates, (n, 3), in the map's order and units."""
         for _, batch in self._collection.batches(BATCH):
-            wanted = np.asarray(np.isfinite(batch.xyz).all(axis=1))
+            wanted = valid_points(batch.xyz)
             if self._chosen is not None:
                 wanted &= self._chosen[batch.first_row : batch.first_row + len(batch.xyz)]
             yield batch.first_row + np.flatnonzero(wanted), batch.xyz[wanted]

@@ -99,7 +99,7 @@ class DynamicMapAccuracy(BaseModel):
     (ITSC 2023, arXiv 2307.07260), as its code computes them (KTH-RPL/DynamicMap_Benchmark,
     `export_eval_pcd.cpp` and `evaluate_all.py`): a labelled point counts as kept if the cleaned
     map has a point within `match_distance` of it, its own or another's. So a ghost that touches a
-    wall is never removed, whatever a method does. HA is in the code, not in the paper.
+    wall is never removed, whatever a method does.
 
     Attributes
     ----------

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict
 class DistanceStatistics(BaseModel):
     """Distances d of the cleaned map's points to their nearest points in the truth.
 
-    The figures of the DynaHull paper (Habibiroudkenar, Ojala, Tammi 2024, arXiv 2401.07541,
-    results section); in metres, the variance in square metres.
+    The DynaHull paper (Habibiroudkenar, Ojala, Tammi 2024, arXiv 2401.07541) reports them; in
+    metres, the variance in square metres.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class ChamferDistance(BaseModel):
     """The Chamfer distance between the cleaned map C and the truth T.
 
     mean over c of min over t of |c - t|^2, plus mean over t of min over c of |t - c|^2: the form
-    of Fan, Su, Guibas (CVPR 2017, section 4.1), by means in place of their sums, so that it does
+    of Fan, Su, Guibas (CVPR 2017), by means in place of their sums, so that it does
     not grow with the number of points. Published code and text differ in the square, in adding or
     averaging the directions, and in taking one direction only, so all parts are here.
 

@@ -1,9 +1,10 @@
 """The evaluation of a cleaned map: what is static, how far the map is from it, who is to blame.
 
 Memory: one k-d tree of one map at a time, 48 bytes a point with its coordinates; 8 bytes for each
-point of the cleaned map (its distance, for the percentile); up to 16 bytes for each of the
-original (label, decision, row); the voxels; and batches of fixed size. A map is read once for each
-tree that is built of it or looked up in.
+point of the cleaned map (its distance, for the percentile), thrice that while they are summed up
+without a tree; some bytes for each of the original (labels, decisions); the voxels, up to 170
+bytes each while they are gathered, without a tree; and batches of fixed size. A map is read once
+for each tree that is built of it or looked up in.
 """
 
 from dataclasses import dataclass

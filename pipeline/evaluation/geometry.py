@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull.progress import Observer
 from pipeline.evaluation.cloud import Cloud, NearestPoint, look_up
@@ -46,10 +47,8 @@ def compare_geometry(
     truth_sample, other_sample = (
         draw_sample(points, options.emd_points, options.seed, stream) for stream in (0, 1)
     )
-    nearest = NearestPoint(points)
-    found = look_up(cleaned, nearest, observer, "to the truth")
-    distances = np.concatenate([np.empty(0), *(batch for _, batch, _ in found)])
-    del nearest, points
+    distances = _all_distances(cleaned, NearestPoint(points), observer)
+    del points
 
     points = cleaned.points()
     cleaned_sample = draw_sample(points, options.emd_points, options.seed, 2)
@@ -74,3 +73,15 @@ def compare_geometry(
         chamfer=ChamferDistance.of(DirectedChamfer.of([distances]), lacking),
         earth_mover=earth_mover,
     )
+
+
+def _all_distances(
+    cleaned: Cloud, nearest: NearestPoint, observer: Observer
+) -> NDArray[np.float64]:
+    """Gather the distances of all points: the percentile needs them at once."""
+    distances = np.empty(cleaned.row_count)
+    count = 0
+    for rows, batch, _ in look_up(cleaned, nearest, observer, "to the truth"):
+        distances[count : count + len(rows)] = batch
+        count += len(rows)
+    return distances[:count]

@@ -21,14 +21,14 @@ _Voxels = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
 class Preservation(BaseModel):
     """How much of what is static is preserved, and of what moved is rejected; in percent.
 
-    Lim, Hwang, Myung: ERASOR (RA-L 2021, arXiv 2103.04316). The text: PR is the share of the static
-    points of the raw map that are preserved, RR is 1 minus the share of its dynamic points that
-    are, both counted by voxels of 0.2 m. The code (LimHyungTae/ERASOR, `scripts/analysis.py` and
-    `voxelize_preserving_labels`), which this follows: both maps become one point a voxel, the mean
-    of its points, with the label of the map's point nearest to the mean; a point of the original
-    is preserved if the nearest point of the cleaned map is nearer than half a voxel's diagonal and
-    has the same label. The code's list of dynamic classes lacks 258, the moving truck; here they
-    are what the user says.
+    Lim, Hwang, Myung: ERASOR (RA-L 2021, arXiv 2103.04316). The text, as its successor ERASOR++
+    (ICRA 2024) quotes it: PR is the share of all static points that are preserved, RR that of all
+    dynamic points that are removed, both counted by voxels of 0.2 m. The code, which this follows
+    (LimHyungTae/ERASOR, `scripts/analysis.py` and `voxelize_preserving_labels`): both maps become
+    one point a voxel, the mean of its points, with the label of the map's point nearest to the
+    mean; a point of the original is preserved if the nearest point of the cleaned map is nearer
+    than half a voxel's diagonal and has the same label. The code's list of dynamic classes lacks
+    258, the moving truck; here they are what the user says.
 
     Attributes
     ----------

@@ -8,6 +8,7 @@ from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.picture import draw_picture, drawing_library
 from pipeline.evaluation.report import EvaluationReport
+from pipeline.outputs import RUN_FILE
 from pipeline.progress import watching
 from tiling.atomic import atomic_file
 
@@ -48,6 +49,11 @@ def evaluate_files(
             raise ConfigurationError("--picture: expected --original, found none")
         drawing_library()  # before the work, not after it
     with watching() as observer:
+        if inputs.original is None and (Path(cleaned) / RUN_FILE).is_file():
+            observer.warn(
+                f"{cleaned}: the map that was cleaned is no longer there; only distances are "
+                "measured (--original says where it is)"
+            )
         figures = evaluate(inputs, options, observer)
         if picture is not None and figures.scores is not None:
             observer.stage("picture", figures.scores.scored.original.row_count)

@@ -12,8 +12,11 @@ from pipeline.evaluation.labels import Labels, Truth
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.preservation import Preservation, voxel_means
 
-_MOST = 0.99
-"""Share of the points found at their places below which a warning is due."""
+_LEAST_OF_TRUTH = 0.5
+"""Share of the truth below which a warning is due: some of it may be hidden in the original."""
+
+_LEAST_OF_CLEANED = 0.99
+"""Share of the cleaned map below which a warning is due: all of it should be in the original."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +72,7 @@ def label_by_map(
     ):
         labels[rows] = np.where(distances <= tolerance, Truth.STATIC, Truth.DYNAMIC)
     static = int(np.count_nonzero(labels == Truth.STATIC))
-    if static < _MOST * len(points):
+    if static < _LEAST_OF_TRUTH * len(points):
         observer.warn(
             f"{truth.name} has {len(points):,} points, and only {static:,} of {original.name} are "
             f"within {tolerance:g} m of one: if it is another recording, or was rounded, raise "
@@ -110,7 +113,7 @@ def label_cleaned(
         found_labels[rows] = labels[indices]
         count += len(rows)
         at_place += int(np.count_nonzero(distances <= options.cleaned_tolerance))
-    if at_place < _MOST * count:
+    if at_place < _LEAST_OF_CLEANED * count:
         observer.warn(
             f"only {at_place:,} of the {count:,} points of {cleaned.name} are within "
             f"{options.cleaned_tolerance:g} m of a point of {original.name}: if they were thinned "
@@ -149,6 +152,7 @@ def score(
     -------
     Scores
     """
+    means = voxel_means((xyz for _, xyz in cleaned.batches()), options.voxel)
     nearest = NearestPoint(cleaned.points())
     tolerance, match_distance = options.cleaned_tolerance, options.match_distance
     gone, matched = np.zeros((2, original.row_count), dtype=np.bool_)
@@ -156,7 +160,6 @@ def score(
     for rows, distances, _ in look_up(original, nearest, observer, "original points", at_most):
         gone[rows] = distances > tolerance
         matched[rows] = distances <= match_distance
-    means = voxel_means((xyz for _, xyz in cleaned.batches()), options.voxel)
     mean_labels = cleaned_labels[nearest.find(means)[1]]
     del nearest
     removed = gone if removed is None else removed

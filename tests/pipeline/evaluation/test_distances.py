@@ -95,7 +95,7 @@ def test_chamfer_is_the_means_over_all_pairs(seed, count, others, pieces):
 @pytest.fixture
 def cloud(tmp_path):
     points = np.arange(30.0).reshape(10, 3)
-    points[[2, 7], 1] = np.nan, np.inf
+    points[[2, 7], 1] = np.nan, 1e151
     np.save(tmp_path / "a.npy", points[:4])
     np.save(tmp_path / "b.npy", points[4:])
     return Cloud(MapCollection([tmp_path / "a.npy", tmp_path / "b.npy"])), points

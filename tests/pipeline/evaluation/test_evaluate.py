@@ -13,7 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.configuration import load_configuration
-from pipeline.errors import ConfigurationError, EvaluationError, OutputError
+from pipeline.errors import (
+    ConfigurationError,
+    EvaluationError,
+    MissingPackageError,
+    OutputError,
+)
 from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
@@ -131,6 +136,16 @@ def test_a_truth_recorded_apart_needs_a_tolerance(scene):
     assert found.scores.confusion.false_positives == 20
 
 
+def test_a_truth_that_the_original_hardly_holds_is_warned_about(scene):
+    static = np.load(scene / "static.npy")
+    np.save(scene / "elsewhere.npy", np.concatenate([static, static[:480] + 50]))
+    arguments = scene / "cleaned.npy", scene / "elsewhere.npy", scene / "labelled.laz"
+    assert figures_of(*arguments)[1] == []
+    np.save(scene / "elsewhere.npy", np.concatenate([static, static + 50, static[:100] + 90]))
+    (warning,) = figures_of(*arguments)[1]
+    assert "--truth-tolerance" in warning
+
+
 def test_a_thinned_out_map_is_warned_about(scene):
     cleaned = np.load(scene / "cleaned.npy")
     np.save(scene / "thin.npy", cleaned[::3] + 0.004)
@@ -158,7 +173,9 @@ def test_the_folder_of_a_run_is_a_cleaned_map(scene):
     (scene / "out" / "labels.parquet").unlink()
     assert figures_of(scene / "out", scene / "static.npy")[0].scores.confusion == counts
     original.unlink()
-    assert figures_of(scene / "out", scene / "static.npy")[0].scores is None
+    report = evaluate_files(str(scene / "out"), str(scene / "static.npy"), None, NO_TRANSPORT)
+    assert report.confusion is None
+    assert "no longer there" in report.warnings[0]
 
 
 def test_the_command_prints_and_writes_all_figures(scene):
@@ -195,7 +212,7 @@ def test_the_same_seed_gives_the_same_distance(scene):
     assert first.geometry.earth_mover.distance != other.geometry.earth_mover.distance
 
 
-def test_what_does_not_fit_together_is_one_line(scene):
+def test_what_does_not_fit_together_is_one_line(scene, monkeypatch):
     cleaned = scene / "cleaned.npy"
     pq.write_table(pa.table({"moving": [True, False]}), scene / "short.parquet")
     with pytest.raises(EvaluationError, match="give it by --original"):
@@ -213,6 +230,9 @@ def test_what_does_not_fit_together_is_one_line(scene):
     np.save(scene / "nothing.npy", np.full((3, 3), np.nan))
     with pytest.raises(EvaluationError, match=r"nothing\.npy: expected finite points"):
         figures_of(scene / "nothing.npy", scene / "static.npy")
+    monkeypatch.setitem(sys.modules, "ot", None)
+    with pytest.raises(MissingPackageError, match="or leave it out with --emd-points 0"):
+        figures_of(cleaned, scene / "static.npy", emd_points=10)
     with pytest.raises(ConfigurationError, match="--picture: expected --original"):
         evaluate_files(
             str(cleaned), str(scene / "static.npy"), None, NO_TRANSPORT, picture=scene / "a.png"
