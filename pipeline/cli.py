@@ -147,26 +147,32 @@ def simulate_command(
     ] = Path("simulated"),
     scene: Annotated[
         str | None,
-        typer.Option(metavar="SCENE", help="indoor, storeys, ramp or street. [default: indoor]"),
+        typer.Option(metavar="SCENE", help="indoor (default), storeys, ramp or street."),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Seed of plan, people, noise and drift. [default: 0]"),
+        typer.Option(help="Seed of plan, people, noise and drift; 0 if not given."),
     ] = None,
     points: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Points of the map, exactly; up to a million a block."),
+        typer.Option(
+            metavar="N",
+            help="Points of the map, exactly; more blocks of scene are added as needed.",
+        ),
     ] = None,
     map_only: Annotated[
         bool | None,
         typer.Option(
             "--map-only/--all",
             help="Leave out the scans, the static truth and the low-activity map. "
-            "[default: --all; --map-only with --points]",
+            "All is the default, and the map only with --points.",
             show_default=False,
         ),
     ] = None,
-    settings: Settings = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One parameter, such as walkers=20."),
+    ] = None,
 ) -> None:
     """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
     from pipeline.configuration import load_parameters  # noqa: PLC0415

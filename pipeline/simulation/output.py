@@ -166,6 +166,7 @@ def _write_low_activity(parameters: SimulationParameters, files: SimulationFiles
 def _staged(folder: Path) -> Iterator[Path]:
     """Give an empty folder to write in, whose files replace those of an earlier simulation."""
     staging = folder / _STAGING
+    made_here = not folder.exists()
     shutil.rmtree(staging, ignore_errors=True)
     staging.mkdir(parents=True)
     try:
@@ -178,6 +179,8 @@ def _staged(folder: Path) -> Iterator[Path]:
             path.replace(place)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+        if made_here and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _remove_earlier(files: SimulationFiles) -> None:

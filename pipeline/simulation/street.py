@@ -55,30 +55,36 @@ def street_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         builder.box((kiosk, kiosk + 1.6), (y - 0.6, y + 0.6), (0.0, 2.4), Surface.FURNITURE)
     queue = [(kiosk - 0.6 - 0.8 * slot, y) for slot in range(6)]
     back = [(kiosk - 0.6, y + 1.0), (kiosk - 5.2, y + 1.0)]
-    corners = _TRANSVERSE, LENGTH - _TRANSVERSE
-    walks = _MIDDLE - _ROBOT, _MIDDLE + _ROBOT
-    kerbs = _MIDDLE - _ROAD, _MIDDLE + _ROAD
-    robot = [
-        *((x, walks[0], _KERB) for x in (corners[0], LENGTH / 2, corners[1])),
-        *((corners[1], y, _KERB) for y in kerbs),
-        *((x, walks[1], _KERB) for x in (corners[1], LENGTH / 2, corners[0])),
-        *((corners[0], y, _KERB) for y in kerbs[::-1]),
-    ]
-    ends = 8.0, LENGTH - 8.0
-    cars = [(x, _MIDDLE - _LANE, 0.0) for x in (ends[0], LENGTH / 2, ends[1])]
-    cars += [(x, _MIDDLE + _LANE, 0.0) for x in (ends[1], LENGTH / 2, ends[0])]
     return Scene(
         shapes=builder.shapes(),
         walkways=walkways,
         queue=_on_hill([(*slot, _KERB) for slot in queue], slope),
         queue_return=_on_hill([(*corner, _KERB) for corner in back], slope),
-        robot_route=_on_hill(robot, slope),
-        machine_route=_on_hill(cars, slope),
+        robot_route=_on_hill(_robot_route(), slope),
+        machine_route=_on_hill(_lanes(), slope),
         machines=(MachineKind.CAR, MachineKind.BICYCLE),
         machine_speed=5.0,
         size=(LENGTH, WIDTH),
         gap=0.0,
     )
+
+
+def _robot_route() -> list[tuple[float, float, float]]:
+    """Return the way along one pavement, over the road, back along the other, and over again."""
+    west, middle, east = _TRANSVERSE, LENGTH / 2, LENGTH - _TRANSVERSE
+    south, north = _MIDDLE - _ROBOT, _MIDDLE + _ROBOT
+    kerbs = _MIDDLE - _ROAD, _MIDDLE + _ROAD
+    corners = [(west, south), (middle, south), (east, south), *((east, kerb) for kerb in kerbs)]
+    corners += [(east, north), (middle, north), (west, north)]
+    corners += [(west, kerb) for kerb in kerbs[::-1]]
+    return [(x, y, _KERB) for x, y in corners]
+
+
+def _lanes() -> list[tuple[float, float, float]]:
+    """Return the round of the cars: there on one lane, and back on the other."""
+    west, middle, east = 8.0, LENGTH / 2, LENGTH - 8.0
+    there = [(x, _MIDDLE - _LANE, 0.0) for x in (west, middle, east)]
+    return there + [(x, _MIDDLE + _LANE, 0.0) for x in (east, middle, west)]
 
 
 def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> NDArray[np.float64]:

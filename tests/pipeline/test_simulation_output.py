@@ -7,7 +7,7 @@ import yaml
 from typer.testing import CliRunner
 
 from pipeline.cli import app
-from pipeline.errors import OutputError
+from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation import (
     SimulationParameters,
     Surface,
@@ -173,6 +173,13 @@ def test_command_writes_all_if_told(tmp_path):
     assert CliRunner().invoke(app, ["simulate", "-o", str(tmp_path), *arguments]).exit_code == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == EVERYTHING
     assert len(rows_of(tmp_path / "low_activity.pcd")) == 300
+
+
+def test_failure_leaves_no_folder_behind(tmp_path):
+    blind = SimulationParameters(points=100, min_range=50, max_range=60, scans=5)
+    with pytest.raises(ConfigurationError, match="found 0 in 24 scans"):
+        write_simulation(blind, tmp_path / "new")
+    assert not list(tmp_path.iterdir())
 
 
 def test_folder_that_cannot_be_made_is_one_clear_line(tmp_path):
