@@ -21,20 +21,24 @@ from llvmlite import binding
 log = logging.getLogger("dynahull")
 
 
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function on its first call, and keep the code with that of its package."""
-    return _compiled(function, "never")
+    folder = cache_folder(Path(function.__code__.co_filename).parent)
+    with numba_cache(folder):
+        return numba.njit(**_OPTIONS, cache=folder is not None)(function)
+
+
+def helper(function: Callable[..., Any]) -> Any:
+    """Compile a function that compiled ones call, and nobody else: it is kept with their code."""
+    return numba.njit(**_OPTIONS, no_cpython_wrapper=True)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a function into each of its callers."""
-    return _compiled(function, "always")
-
-
-def _compiled(function: Callable[..., Any], inline: str) -> Any:
-    folder = cache_folder(Path(function.__code__.co_filename).parent)
-    with numba_cache(folder):
-        return numba.njit(cache=folder is not None, nogil=True, inline=inline)(function)
+    """Compile a helper into each of its callers."""
+    return numba.njit(**_OPTIONS, no_cpython_wrapper=True, forceinline=True)(function)
 
 
 @contextmanager

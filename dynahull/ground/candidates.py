@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, helper
 from dynahull.ground.columns import Columns, first_from
 from dynahull.ground.lattice import (
     Booleans,
@@ -100,18 +100,18 @@ def _are_flat(
             occupied = 0
             for k in range(len(offsets)):
                 slot = slot_at(last, offsets[k, 0], offsets[k, 1], neighbours)
-                if slot >= 0 and starts[slot] < starts[slot + 1]:
+                if starts[slot] < starts[slot + 1]:
                     around[occupied], cells[occupied] = k, slot
                     occupied += 1
         continued = 0
-        u = v = uu = uv = vv = 0
+        u = v = uu = uv = vv = 0.0
         for place in range(occupied):
             if continued + occupied - place < share * occupied:
                 break
             k, slot = around[place], cells[place]
             for other in range(starts[slot], starts[slot + 1]):
                 if abs(heights[other] - heights[level]) <= reaches[k]:
-                    i, j = offsets[k, 0], offsets[k, 1]
+                    i, j = float(offsets[k, 0]), float(offsets[k, 1])
                     continued += 1
                     u += i
                     v += j
@@ -121,12 +121,12 @@ def _are_flat(
                     break
         wanted = breadth / 2 if bare[level] else breadth
         flat[level] = continued >= share * occupied and (
-            wanted == 0 or _breadth(continued + 1, u, v, uu, uv, vv) >= wanted
+            wanted == 0 or _breadth(continued + 1.0, u, v, uu, uv, vv) >= wanted
         )
 
 
-@compiled
-def _breadth(n: int, su: float, sv: float, suu: float, suv: float, svv: float) -> float:
+@helper
+def _breadth(n: float, su: float, sv: float, suu: float, suv: float, svv: float) -> float:
     """Return the smaller variance along the principal axes, from sums over n cells."""
     a = suu / n - (su / n) ** 2
     b = suv / n - su * sv / (n * n)
@@ -210,7 +210,7 @@ def _are_floors(
         occupied, surface, under, beneath, above = 0, 0, 0, 0, 0
         for k in range(len(offsets)):
             slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
-            if slot < 0 or starts[slot] == starts[slot + 1]:
+            if starts[slot] == starts[slot + 1]:
                 continue
             first, end = starts[slot], starts[slot + 1]
             bottom, top = z - reaches[k], z + reaches[k]
@@ -234,7 +234,7 @@ def _are_floors(
         )
 
 
-@compiled
+@helper
 def _is_filled(columns: Floats, first: int, end: int, z: float, clearance: float) -> bool:
     """Whether a point lies between half and the whole clearance under z: deeper than a slab."""
     if columns[first] > z - clearance / 2:
@@ -243,7 +243,7 @@ def _is_filled(columns: Floats, first: int, end: int, z: float, clearance: float
     return lowest < end and columns[lowest] <= z - clearance / 2
 
 
-@compiled
+@helper
 def _rests_on_something(
     slot: int, z: float, columns: Floats, starts: Integers, neighbours: Integers, clearance: float
 ) -> bool:
@@ -252,7 +252,7 @@ def _rests_on_something(
     for di in range(-1, 2):
         for dj in range(-1, 2):
             other = slot_at(slot, di, dj, neighbours)
-            if other < 0 or starts[other] == starts[other + 1]:
+            if starts[other] == starts[other + 1]:
                 continue
             occupied += 1
             if _is_filled(columns, starts[other], starts[other + 1], z, clearance):

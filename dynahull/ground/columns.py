@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, helper
 from dynahull.ground.lattice import Floats, Integers, Lattice, starts_of
 from dynahull.threads import group_bounds, over_ranges
 
@@ -82,7 +82,7 @@ def _sort_columns(
 
 
 # NumPy's sorts are slow to compile, and one that moves the rows along needs another array of them.
-@compiled
+@helper
 def _sort_column(
     heights: Floats,
     rows: Integers,
@@ -115,7 +115,7 @@ def _sort_column(
         length *= 2
 
 
-@compiled
+@helper
 def _merge(
     heights: Floats,
     rows: Integers,
@@ -143,7 +143,7 @@ def _merge(
         place += 1
 
 
-@compiled
+@helper
 def first_from(heights: Floats, first: int, end: int, height: float) -> int:
     """Return the first place in a sorted range with at least this height, or its end."""
     while first < end:
@@ -155,7 +155,7 @@ def first_from(heights: Floats, first: int, end: int, height: float) -> int:
     return first
 
 
-@compiled
+@helper
 def first_above(heights: Floats, first: int, end: int, height: float) -> int:
     """Return the first place in a sorted range above this height, or its end."""
     while first < end:

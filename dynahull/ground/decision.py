@@ -7,7 +7,7 @@ than `foot` times as many points follow above as there are near the surface, the
 
 import numpy as np
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, helper
 from dynahull.ground.columns import Columns, first_above, first_from
 from dynahull.ground.lattice import FARTHEST_CELL, Booleans, Floats, Integers
 from dynahull.ground.parameters import SlopeParameters
@@ -74,9 +74,11 @@ def _decide(
     end_slot: int,
     ground: Booleans,
 ) -> None:
-    longest = 0
+    longest, most = 0, 0
     for slot in range(first_slot, end_slot):
         longest = max(longest, starts[slot + 1] - starts[slot])
+        most = max(most, plane_starts[slot + 1] - plane_starts[slot])
+    widths = np.empty(most, np.float64)
     bottoms, tops = np.empty(longest, np.float64), np.empty(longest, np.float64)
     parts = np.empty(longest, np.int64)
     part_heights = np.empty(longest, np.float64)
@@ -86,12 +88,12 @@ def _decide(
         lowest, highest = plane_starts[slot], plane_starts[slot + 1]
         if first == end or lowest == highest:
             continue
+        for k in range(lowest, highest):
+            widths[k - lowest] = _width_about(planes[k], tolerances, steepest)
         near = 0
         for place in range(first, end):
             row = rows[place]
-            bottom, top = _layer_about(
-                points[row], planes, lowest, highest, tolerances, steepest, cell
-            )
+            bottom, top = _layer_about(points[row], planes, lowest, highest, widths, cell)
             bottoms[place - first], tops[place - first] = bottom, top
             ground[row] = top >= bottom
             near += ground[row]
@@ -110,42 +112,40 @@ def _decide(
                 ground[row] = False
 
 
-@compiled
+@helper
+def _width_about(plane: Floats, tolerances: Floats, steepest: float) -> float:
+    """Return how far from a plane points are ground, or -1 if it is too steep."""
+    slope = np.hypot(plane[SLOPE_X], plane[SLOPE_Y])
+    if slope > steepest:
+        return -1.0
+    base, per_slope, per_noise, limit = tolerances
+    return min(base + per_slope * slope + per_noise * plane[NOISE], limit)
+
+
+@helper
 def _layer_about(
-    point: Floats,
-    planes: Floats,
-    first: int,
-    end: int,
-    tolerances: Floats,
-    steepest: float,
-    cell: float,
+    point: Floats, planes: Floats, first: int, end: int, widths: Floats, cell: float
 ) -> tuple[float, float]:
     """Return bottom and top of the surface's layer at a point, or (0, -1) if it is not in one."""
-    base, per_slope, per_noise, limit = tolerances
-    nearest, width = np.inf, 0.0
-    surface = 0.0
+    nearest, surface, width = np.inf, 0.0, -1.0
     for k in range(first, end):
         height = height_over(point, planes[k], cell)
-        if abs(height) >= nearest:
-            continue
-        slope = np.hypot(planes[k, SLOPE_X], planes[k, SLOPE_Y])
-        if slope <= steepest:
+        if widths[k - first] >= 0 and abs(height) < nearest:
             nearest = abs(height)
-            surface = point[2] - height
-            width = min(base + per_slope * slope + per_noise * planes[k, NOISE], limit)
-    if nearest < np.inf and abs(point[2] - surface) <= width:
+            surface, width = point[2] - height, widths[k - first]
+    if abs(point[2] - surface) <= width:
         return surface - width, surface + width
     return 0.0, -1.0
 
 
-@compiled
+@helper
 def _part_of(coordinate: float) -> int:
     """Return the part of its cell along one axis, of a coordinate in cells."""
     part = int(np.floor(_PARTS * min(max(coordinate, -FARTHEST_CELL), FARTHEST_CELL)))
     return part & (_PARTS - 1)
 
 
-@compiled
+@helper
 def _sort_parts(
     heights: Floats,
     first: int,
@@ -168,7 +168,7 @@ def _sort_parts(
         part_heights[part_starts[parts[place]]] = heights[first + place]
 
 
-@compiled
+@helper
 def _is_foot(heights: Floats, first: int, end: int, bottom: float, top: float, foot: float) -> bool:
     """Whether more points follow above the layer than `foot` times those within it."""
     lower = first_from(heights, first, end, bottom)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dynahull.compilation import compiled, inlined
+from dynahull.compilation import compiled, helper, inlined
 from dynahull.threads import over_ranges, range_bounds
 
 __all__ = [
@@ -60,12 +60,15 @@ class Lattice(NamedTuple):
     blocks: Integers
     """Block coordinates, ascending, (B, 2)."""
     neighbours: Integers
-    """Blocks around each block, (B, 2 s + 1, 2 s + 1); -1 where none exists."""
+    """First slots of the blocks around each block, (B, 2 s + 1, 2 s + 1).
+
+    Blocks that do not exist share one more block, the last, which holds no point.
+    """
 
     @property
     def slot_count(self) -> int:
         """Number of slots, those of empty cells included."""
-        return len(self.blocks) * _SLOTS_PER_BLOCK
+        return (len(self.blocks) + 1) * _SLOTS_PER_BLOCK
 
 
 def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -> Lattice:
@@ -102,12 +105,13 @@ def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -
 
 
 def _neighbours(keys: Integers, span: int) -> Integers:
-    """Find the blocks up to `span` away from each of the blocks that exist."""
+    """Find the first slots of the blocks up to `span` away from each block."""
     along = np.arange(-span, span + 1)
     wanted = keys[:, None, None] + (along[:, None] << _KEY_BITS) + along
-    place = np.searchsorted(keys, wanted)
-    place[place == len(keys)] = 0
-    return np.where(keys[place] == wanted, place, -1) if len(keys) else place
+    blocks = np.searchsorted(keys, wanted)
+    known = np.append(keys, _NO_KEY)
+    blocks[known[blocks] != wanted] = len(keys)
+    return blocks << _SLOT_BITS
 
 
 @compiled
@@ -118,7 +122,7 @@ def _find_blocks(points: Floats, cell: float, first: int, end: int, slots: Integ
     until the blocks of all ranges are known, the block's place among those of this range.
     """
     keys = np.empty(_FIRST_TABLE // 2, np.int64)
-    table = np.full(_FIRST_TABLE, -1, np.int64)
+    table = _empty_table(_FIRST_TABLE)
     found = 0
     last, block = np.int64(_NO_KEY), 0
     for point in range(first, end):
@@ -139,7 +143,7 @@ def _find_blocks(points: Floats, cell: float, first: int, end: int, slots: Integ
     return keys[:found]
 
 
-@compiled
+@helper
 def _place_of(key: int, keys: Integers, table: Integers) -> int:
     """Where a key stands in the table, or may be put: the first place free after its hash."""
     place = _hash(key) & (len(table) - 1)
@@ -148,10 +152,18 @@ def _place_of(key: int, keys: Integers, table: Integers) -> int:
     return place
 
 
-@compiled
+@helper
+def _empty_table(size: int) -> Integers:
+    table = np.empty(size, np.int64)
+    for place in range(size):
+        table[place] = -1
+    return table
+
+
+@helper
 def _enlarged(keys: Integers) -> tuple[Integers, Integers]:
     larger = np.empty(2 * len(keys), np.int64)
-    table = np.full(4 * len(keys), -1, np.int64)
+    table = _empty_table(4 * len(keys))
     for number in range(len(keys)):
         larger[number] = keys[number]
         table[_place_of(keys[number], larger, table)] = number
@@ -184,16 +196,12 @@ def _block_key(i: int, j: int) -> int:
 
 @inlined
 def slot_at(slot: int, di: int, dj: int, neighbours: Integers) -> int:
-    """Return the slot of the cell (di, dj) away from the cell of `slot`, or -1."""
+    """Return the slot of the cell (di, dj) away from the cell of `slot`."""
+    span = neighbours.shape[1] >> 1
     i = ((slot >> BLOCK_BITS) & (BLOCK - 1)) + di
     j = (slot & (BLOCK - 1)) + dj
-    if (i | j) & ~(BLOCK - 1) == 0:
-        return slot + (di << BLOCK_BITS) + dj
-    span = neighbours.shape[1] >> 1
-    other = neighbours[slot >> _SLOT_BITS, (i >> BLOCK_BITS) + span, (j >> BLOCK_BITS) + span]
-    if other < 0:
-        return -1
-    return (other << _SLOT_BITS) + ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
+    first = neighbours[slot >> _SLOT_BITS, (i >> BLOCK_BITS) + span, (j >> BLOCK_BITS) + span]
+    return first + ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
 
 
 def starts_of(slots: Integers, slot_count: int) -> Integers:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, helper
 from dynahull.ground.columns import Columns
 from dynahull.ground.lattice import Booleans, Floats, Integers
 from dynahull.threads import over_ranges
@@ -109,7 +109,7 @@ def _find_levels(
     return heights[:found], spreads[:found], slots[:found], bare[:found]
 
 
-@compiled
+@helper
 def _mean_and_spread(heights: Floats, first: int, end: int) -> tuple[float, float]:
     # relative to the lowest point: the result does not lose digits far from z = 0
     lowest = heights[first]

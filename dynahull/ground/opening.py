@@ -21,8 +21,8 @@ from dynahull.threads import over_ranges, range_bounds
 
 __all__ = ["stand_out"]
 
-_SMALLEST_RANGE = 500
-"""Levels."""
+_SMALLEST_RANGE = 4_000
+"""Levels; there are two calls for every growth of the disk."""
 
 
 def stand_out(
@@ -79,8 +79,6 @@ def _erode(
         lowest = eroded[level]
         for k in range(len(ring)):
             slot = slot_at(slots[level], ring[k, 0], ring[k, 1], neighbours)
-            if slot < 0:
-                continue
             for other in range(starts[slot], starts[slot + 1]):
                 if abs(heights[other] - heights[level]) <= storey:
                     lowest = min(lowest, heights[other])
@@ -112,8 +110,6 @@ def _open(
             if highest >= opened[level]:
                 break
             slot = slot_at(slots[level], window[k, 0], window[k, 1], neighbours)
-            if slot < 0:
-                continue
             for other in range(starts[slot], starts[slot + 1]):
                 if -storey <= heights[other] - heights[level] <= storey / 2:
                     highest = max(highest, eroded[other])

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynahull.compilation import compiled, inlined
+from dynahull.compilation import compiled, helper, inlined
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -25,8 +25,8 @@ HEIGHT, SLOPE_X, SLOPE_Y, NOISE = range(4)
 _SUPPORT = 12
 """Levels that a plane is fitted to, at most: the nearest."""
 
-_SMALLEST_RANGE = 500
-"""Cells."""
+_SMALLEST_RANGE = 2_000
+"""Cells, or levels."""
 
 _STOREYS = 16
 """Storeys above each other in one column, at most; further ones are not fitted."""
@@ -128,8 +128,7 @@ def _mark_near(
     for level in range(first_level, end_level):
         for k in range(len(offsets)):
             slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
-            if slot >= 0:
-                near[slot] = True
+            near[slot] = True
 
 
 @compiled
@@ -153,8 +152,6 @@ def _fit_planes(
         storeys = 0
         for k in range(len(offsets)):
             slot = slot_at(wanted[place], offsets[k, 0], offsets[k, 1], neighbours)
-            if slot < 0:
-                continue
             for level in range(starts[slot], starts[slot + 1]):
                 group = 0
                 while group < storeys and abs(heights[level] - bases[group]) > storey:
@@ -183,7 +180,7 @@ def _fit_planes(
 
 
 # Loops in place of slices and sorts: compiled, those take ten seconds to compile and are no faster.
-@compiled
+@helper
 def _enlarged(planes: Floats) -> Floats:
     larger = np.empty((2 * len(planes), 4), np.float64)
     for place in range(len(planes)):
@@ -192,7 +189,7 @@ def _enlarged(planes: Floats) -> Floats:
     return larger
 
 
-@compiled
+@helper
 def _lowest(bases: Floats, storeys: int) -> int:
     lowest = 0
     for group in range(1, storeys):
@@ -201,7 +198,7 @@ def _lowest(bases: Floats, storeys: int) -> int:
     return lowest
 
 
-@compiled
+@helper
 def _add_level(s: Floats, offset: Integers, z: float, spread: float, known: bool) -> None:
     """Add a level to the weighted sums of its storey; horizontal lengths in cells.
 
@@ -226,7 +223,7 @@ def _add_level(s: Floats, offset: Integers, z: float, spread: float, known: bool
     s[12] += 1.0
 
 
-@compiled
+@helper
 def _solve(s: Floats, base: float, cell: float, plane: Floats) -> None:
     """Weighted least squares about the weighted mean, with a ridge on the slopes."""
     mu, mv, mz = s[1] / s[0], s[2] / s[0], s[3] / s[0]

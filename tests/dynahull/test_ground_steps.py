@@ -83,11 +83,13 @@ def test_columns_hold_every_point_from_the_lowest_up(seed, count, size, decimals
     assert np.array_equal(columns.rows, np.lexsort([np.arange(count), points[:, 2], lattice.slots]))
     slots = np.repeat(np.arange(lattice.slot_count), np.diff(columns.starts))
     assert np.array_equal(slots, lattice.slots[columns.rows])
-    known = {tuple(block): number for number, block in enumerate(lattice.blocks)}
+    known = {tuple(block): BLOCK**2 * number for number, block in enumerate(lattice.blocks)}
+    nowhere = BLOCK**2 * len(known)
+    assert nowhere not in lattice.slots
     for number, block in enumerate(lattice.blocks):
         for i, j in np.ndindex(lattice.neighbours.shape[1:]):
             other = (block[0] + i - 1, block[1] + j - 1)
-            assert lattice.neighbours[number, i, j] == known.get(other, -1)
+            assert lattice.neighbours[number, i, j] == known.get(other, nowhere)
 
 
 @settings(max_examples=25, deadline=None)
