@@ -80,9 +80,16 @@ def clean(
     )
     rows = np.flatnonzero(valid & ~ground & ~above)
     clusters = find_clusters(
-        coordinates.take(rows, axis=0), rows, int(np.count_nonzero(valid)), parameters, observer
+        coordinates.take(rows, axis=0),
+        rows,
+        _finite_count(coordinates, valid),
+        parameters,
+        observer,
     )
     membership = _membership(clusters, coordinates, rows, threads)
+    warn_of_clusters(
+        [len(members) for members in membership], parameters.clustering.count, observer
+    )
     densities = _densities(coordinates, membership, parameters, threads, observer)
     percentages = removal_percentages(
         [len(members) for members in membership],
@@ -162,6 +169,12 @@ def valid_points(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(x & y & z)
 
 
+def _finite_count(points: NDArray[np.float64], valid: NDArray[np.bool_]) -> int:
+    """Count the points of finite coordinates, absurd ones among them."""
+    finite = 0 if valid.all() else int(np.isfinite(points[~valid]).all(axis=1).sum())
+    return finite + int(np.count_nonzero(valid))
+
+
 def set_ground_aside(
     points: NDArray[np.float64],
     valid: NDArray[np.bool_],
@@ -203,15 +216,32 @@ def find_clusters(
     observer.stage("clustering", len(points))
     sample = sample_rows(rows, total, parameters.clustering)
     clusters = fit_clusters(points[sample], parameters.clustering)
-    if not len(points):
-        observer.warn("no point is left after the ground: nothing was scored")
-    elif len(clusters.centroids) < parameters.clustering.count:
-        observer.warn(
-            f"{parameters.clustering.count} clusters asked for, "
-            f"{len(clusters.centroids)} made: there are no more distinct points"
-        )
     observer.advance(len(points))
     return clusters
+
+
+def warn_of_clusters(counts: Sequence[int], wanted: int, observer: Observer) -> None:
+    """Say what is unusual about the clusters of a map.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        N_i, points of each cluster.
+    wanted : int
+        Clusters asked for.
+    observer : Observer
+    """
+    if not sum(counts):
+        observer.warn("no point is left after the ground: nothing was scored")
+    elif len(counts) < wanted:
+        observer.warn(
+            f"{wanted} clusters asked for, {len(counts)} made: there are no more distinct points"
+        )
+    for index, count in enumerate(counts):
+        if count == 0:
+            observer.warn(f"cluster {index} is empty: nothing to score in it")
+        elif count < SMALLEST_CLUSTER:
+            observer.warn(f"cluster {index} has {count} points: too few for a hull, kept")
 
 
 def _chosen_parameters(
@@ -240,16 +270,10 @@ def _densities(
     observer: Observer,
 ) -> list[NDArray[np.float64]]:
     observer.stage("density", sum(len(members) for members in membership))
-    densities = []
-    for index, members in enumerate(membership):
-        if len(members) == 0:
-            observer.warn(f"cluster {index} is empty: nothing to score in it")
-        elif len(members) < SMALLEST_CLUSTER:
-            observer.warn(f"cluster {index} has {len(members)} points: too few for a hull, kept")
-        densities.append(
-            cluster_densities(points.take(members, axis=0), members, parameters, threads, observer)
-        )
-    return densities
+    return [
+        cluster_densities(points.take(members, axis=0), members, parameters, threads, observer)
+        for members in membership
+    ]
 
 
 def _merged_labels(

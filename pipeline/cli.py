@@ -10,6 +10,13 @@ from typing import Annotated, NoReturn, TextIO
 import typer
 
 from pipeline.evaluation.command import evaluate_command
+from pipeline.options import ConfigurationSource, Maps, Output, Settings
+from pipeline.tiles.commands import (
+    clean_command,
+    plan_command,
+    status_command,
+    tile_command,
+)
 
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
@@ -46,34 +53,6 @@ class StandardErrorHandler(logging.StreamHandler[TextIO]):
         raise AttributeError("the stream is standard error, whatever that is")
 
 
-Maps = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="MAP...",
-        help="One or more files, a folder, or a glob: together they are one map. "
-        "PCD, LAS, LAZ, COPC, PLY, Parquet, npy, npz.",
-        show_default=False,
-    ),
-]
-Output = Annotated[
-    str | None,
-    typer.Option("-o", "--output", metavar="DIR", help="Output folder. [default: <map>_dynahull]"),
-]
-ConfigurationSource = Annotated[
-    str | None,
-    typer.Option(
-        "-c",
-        "--config",
-        metavar="CONFIG.yaml",
-        help="Configuration file, or one of: paper, indoor, outdoor.",
-    ),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as neighbours.k=50."),
-]
-
-
 def _show_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version  # noqa: PLC0415
@@ -102,19 +81,36 @@ def run_command(
         bool,
         typer.Option("--labels", help="Write label, cluster and density of every point as well."),
     ] = False,
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Start over, whatever an earlier run left half done."),
+    ] = False,
+    keep_work: Annotated[
+        bool,
+        typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
+    ] = False,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler."),
+    ] = None,
 ) -> None:
-    """Clean a map: write it without its ghosts, and the ghosts beside it."""
+    """Clean a map: write it without its ghosts, and the ghosts beside it.
+
+    A run that was interrupted goes on where it was when the same command is given again.
+    """
     from pipeline.configuration import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.run import run  # noqa: PLC0415
 
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
+    wanted += ["output.keep_work=true"] if keep_work else []
+    wanted += [f"execution.scheduler={scheduler}"] if scheduler else []
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
     with watching() as observer:
-        report = run(maps, Path(output) if output else None, configuration, observer)
+        report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
 
 
@@ -197,6 +193,10 @@ def keys_command() -> None:
     typer.echo(configuration_page(), nl=False)
 
 
+app.command("plan")(plan_command)
+app.command("tile")(tile_command)
+app.command("status")(status_command)
+app.command("clean")(clean_command)
 app.command("evaluate")(evaluate_command)
 
 

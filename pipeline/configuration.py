@@ -1,11 +1,12 @@
 """The configuration of a run: one YAML file, small models, unknown keys refused."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from dynahull.parameters import MethodParameters, validation_message
@@ -17,22 +18,49 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 Model = TypeVar("Model", bound=BaseModel)
 
 
+_UNITS = {
+    "": 1, "b": 1,
+    "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12,
+    "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40,
+}  # fmt: skip
+
+
+def _bytes(value: object) -> object:
+    """Turn text like `1.5 GiB` into bytes; anything else is left to be refused."""
+    if not isinstance(value, str):
+        return value
+    match = re.fullmatch(r"([0-9.]+)\s*([a-z]*)", value.strip().lower())
+    try:
+        return int(float(match[1]) * _UNITS[match[2]]) if match else value
+    except (ValueError, KeyError):
+        return value
+
+
 class ExecutionParameters(BaseModel):
     """How the work is spread over the machine; the result does not depend on it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    cluster: Literal["local"] = Field("local", description="Where the work is done: here.")
-    scheduler: None = Field(None, description="Address of a cluster's scheduler; none yet.")
+    cluster: Literal["local", "none"] = Field(
+        "local",
+        description="Where tiles are worked on. `local`: workers on this machine, one process "
+        "each. `none`: this process, one tile after the other.",
+    )
+    scheduler: str | None = Field(
+        None,
+        description="Address of a Dask scheduler that is running, such as tcp://10.0.0.1:8786; its "
+        "workers are used instead.",
+    )
     workers: Annotated[int, Field(ge=1, strict=True)] | Literal["auto"] = Field(
-        "auto", description="Threads of the density step; `auto`: one for each available core."
+        "auto",
+        description="Workers, or threads where the map is one tile; `auto`: one for each "
+        "available core.",
     )
-    memory: Literal["auto"] = Field(
-        "auto", description="Memory of a worker; as much as the map needs, some 150 bytes a point."
+    memory: Annotated[int, Field(ge=1), BeforeValidator(_bytes)] | Literal["auto"] = Field(
+        "auto",
+        description="Memory of a worker, such as 2GiB; `auto`: its share of what is free. What "
+        "would take more is refused before any work.",
     )
-
-
-_ONE_PIECE = "Not in use yet: a map is cleaned as one piece, and the result is the same."
 
 
 class TilingParameters(BaseModel):
@@ -40,11 +68,21 @@ class TilingParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    max_points: int = Field(1_000_000, ge=1, description=f"Points of a tile. {_ONE_PIECE}")
-    halo: Annotated[float, Field(ge=0)] | Literal["auto"] = Field(
-        "auto", description=f"Overlap of tiles, metres. {_ONE_PIECE}"
+    max_points: int = Field(
+        1_000_000,
+        ge=1,
+        description="Points of a tile, at most, its halo not counted. A map of no more is cleaned "
+        "in memory.",
     )
-    format: Literal["parquet"] = Field("parquet", description=f"Of the chunks. {_ONE_PIECE}")
+    halo: Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"] = Field(
+        "auto",
+        description="Width of the overlap around a tile, metres; `auto`: what ground and "
+        "neighbours need. A narrower one is made up for by reading other tiles.",
+    )
+    format: Literal["parquet", "las", "laz"] = Field(
+        "parquet",
+        description="Of the chunks. `las` and `laz` are for maps whose coordinates lie on a grid.",
+    )
 
 
 class OutputParameters(BaseModel):
@@ -55,7 +93,9 @@ class OutputParameters(BaseModel):
     mode: Literal["split"] = Field(
         "split", description="`split`: what stays and what goes, in a file each."
     )
-    keep_work: bool = Field(False, description=f"Keep intermediate files. {_ONE_PIECE}")
+    keep_work: bool = Field(
+        False, description="Keep the work folder of a map of several tiles, chunks and all."
+    )
     labels: bool = Field(
         False, description="Write labels.parquet: label, cluster and density of every point."
     )

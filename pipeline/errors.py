@@ -31,3 +31,15 @@ class MissingPackageError(PipelineError):
 
 class EvaluationError(PipelineError):
     """The maps and labels given for an evaluation do not fit each other."""
+
+
+class PlanError(PipelineError):
+    """A run would take more memory or disk than there is: refused before any work."""
+
+
+class TasksFailedError(PipelineError):
+    """Tasks of a run failed; what the others did is kept."""
+
+
+class WorkError(PipelineError):
+    """A folder holds no work of a run, or is not one that may be removed."""

@@ -19,7 +19,7 @@ from tiling.formats import MapReader
 RUN_FILE = "run.json"
 CONFIGURATION_FILE = "config.yaml"
 LABELS_FILE = "labels.parquet"
-_STAGING = ".dynahull-partial"
+STAGING = ".dynahull-partial"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def output_folder(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder):
-            staging = folder / _STAGING
+            staging = folder / STAGING
             shutil.rmtree(staging, ignore_errors=True)
             staging.mkdir()
             try:
@@ -113,7 +113,7 @@ def _refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[P
     """Refuse, before any work, to replace an input or a file that no run wrote."""
     taken = {path.resolve() for path in inputs}
     # What a run that was killed left half published is known by its staging folder.
-    interrupted = (folder / _STAGING).is_dir()
+    interrupted = (folder / STAGING).is_dir()
     earlier = set(_earlier_results(folder))
     for name in results:
         place = folder / name
@@ -121,6 +121,18 @@ def _refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[P
             raise OutputError(f"{place}: this input lies where a result goes; choose another -o")
         if os.path.lexists(place) and not interrupted and name not in earlier:
             raise OutputError(f"{place}: there is a file that no run wrote; choose another -o")
+
+
+def folder_is_locked(folder: Path) -> bool:
+    """Tell whether a run is writing into a folder, on this machine."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
 
 
 @contextmanager

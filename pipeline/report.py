@@ -1,6 +1,7 @@
 """What a run did, as `run.json` and as the lines printed at its end."""
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -8,7 +9,6 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from dynahull import CleaningResult
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
 from pipeline.machine import peak_memory
@@ -106,7 +106,8 @@ class RunReport(BaseModel):
         collection: MapCollection,
         input_hash: str,
         configuration: Configuration,
-        result: CleaningResult,
+        counts: dict[str, int],
+        clusters: Sequence[ClusterSummary],
         names: OutputNames,
         observer: StageObserver,
     ) -> "RunReport":
@@ -119,8 +120,8 @@ class RunReport(BaseModel):
             input_hash=input_hash,
             files=_input_files(collection, names),
             points=collection.point_count,
-            counts=result.counts(),
-            clusters=[ClusterReport.of(cluster) for cluster in result.clusters],
+            counts=counts,
+            clusters=[ClusterReport.of(cluster) for cluster in clusters],
             seconds={stage: round(seconds, 3) for stage, seconds in observer.seconds.items()},
             peak_memory_bytes=peak_memory(),
             warnings=observer.warnings,

@@ -1,11 +1,17 @@
 """One run: a map goes in, the cleaned map and the ghosts come out.
 
-The map is streamed twice: once for its coordinates, and once more against one label a point, so
-that its fields never pass through the method.
+The map is streamed for its coordinates, and once more against one label a point, so that its
+fields never pass through the method. A map of one tile is cleaned in memory; a larger one is cut
+into tiles, whose work is shared out to workers and kept until all of it is done.
 """
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dynahull import CleaningResult, Label, clean
+from dynahull import Label, clean
 from dynahull.errors import MissingClassificationError
+from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
 from pipeline.errors import InputChangedError, LostPointsError, OutputError
 from pipeline.machine import available_cores
@@ -26,12 +33,39 @@ from pipeline.outputs import (
     default_folder,
     output_folder,
 )
+from pipeline.plan import check_plan, is_one_tile, worker_memory_limit
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
-from tiling.formats import open_map
+from pipeline.tiles.cleaning import clean_tiles, exhaust
+from pipeline.tiles.execution import Executor, InProcess, local_workers, running_cluster
+from pipeline.tiles.job import JOB_FILE, Job
+from pipeline.tiles.rows import open_rows
+from pipeline.tiles.stages import do_stage
+from pipeline.tiles.work import WORK_FOLDER
+from pipeline.tiles.writing import BATCH, check_written, finish_parts, plan_parts, write_stream
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 
-_BATCH = 500_000
+
+@dataclass(frozen=True, slots=True)
+class CleanedMap:
+    """What became of every point, in memory or in files that look like it.
+
+    Attributes
+    ----------
+    labels : (N,) uint8 array
+    cluster : (N,) int32 array or None
+    density : (N,) float64 array or None
+        None where nobody asked for them.
+    counts : dict of str to int
+        Points of each label.
+    clusters : tuple of ClusterSummary
+    """
+
+    labels: NDArray[np.uint8]
+    cluster: NDArray[np.int32] | None
+    density: NDArray[np.float64] | None
+    counts: dict[str, int]
+    clusters: tuple[ClusterSummary, ...]
 
 
 def run(
@@ -39,6 +73,8 @@ def run(
     output: Path | None,
     configuration: Configuration,
     observer: StageObserver,
+    *,
+    fresh: bool = False,
 ) -> RunReport:
     """Clean one map.
 
@@ -51,6 +87,8 @@ def run(
     configuration : Configuration
     observer : StageObserver
         Told of stages, progress and warnings; its seconds go into the report.
+    fresh : bool
+        Start over, whatever an earlier run of this map left in the output folder.
 
     Returns
     -------
@@ -60,10 +98,12 @@ def run(
     Raises
     ------
     TilingError, DynaHullError, PipelineError
-        With nothing written.
+        With no result written. Of a map of several tiles, the work that is done is kept in the
+        output folder, and the same call goes on from there.
     """
     paths = find_map_files(maps)
-    collection = MapCollection(paths)
+    cores = available_cores(configuration.execution.workers)
+    collection = MapCollection(paths, threads=cores)
     folder = output or default_folder(paths)
     if any(Path(each).is_dir() and Path(each).resolve() == folder.resolve() for each in maps):
         raise OutputError(f"{folder}: this folder is the input; choose another -o")
@@ -77,28 +117,144 @@ def run(
     results = names.all_files(configuration.output.labels)
     with output_folder(folder, results, paths) as staging:
         before = _states(paths)
-        points, classification = read_points(collection, observer)
-        result = clean(
-            points,
-            configuration.method(),
-            classification=classification,
-            threads=available_cores(configuration.execution.workers),
-            observer=observer,
-        )
-        del points
-        write_maps(collection, result, names, staging, observer)
-        if configuration.output.labels:
-            write_labels(result, staging / LABELS_FILE)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
         observer.advance(collection.point_count)
+        work = folder / WORK_FOLDER
+        if is_one_tile(collection, configuration):
+            shutil.rmtree(work, ignore_errors=True)
+            cleaned = clean_in_memory(collection, configuration, observer)
+            write_maps(collection, cleaned.labels, names, staging, observer)
+        else:
+            job = open_job(work, paths, digest, configuration, fresh, observer)
+            cleaned = clean_in_tiles(job, collection, names, staging, observer)
+        if configuration.output.labels:
+            write_labels(cleaned, staging / LABELS_FILE)
         observer.finish()
         if _states(paths) != before:
             raise InputChangedError(f"{paths[0]}: the map changed while it was being cleaned")
-        report = RunReport.of(folder, collection, digest, configuration, result, names, observer)
+        report = RunReport.of(
+            folder,
+            collection,
+            digest,
+            configuration,
+            cleaned.counts,
+            cleaned.clusters,
+            names,
+            observer,
+        )
         (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
         (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
+    if not configuration.output.keep_work:
+        shutil.rmtree(work, ignore_errors=True)
     return report
+
+
+def clean_in_memory(
+    collection: MapCollection, configuration: Configuration, observer: StageObserver
+) -> CleanedMap:
+    """Clean a map of one tile."""
+    points, classification = read_points(collection, observer)
+    result = clean(
+        points,
+        configuration.method(),
+        classification=classification,
+        threads=available_cores(configuration.execution.workers),
+        observer=observer,
+    )
+    return CleanedMap(
+        result.labels, result.cluster, result.density, result.counts(), result.clusters
+    )
+
+
+def clean_in_tiles(
+    job: Job,
+    collection: MapCollection,
+    names: OutputNames,
+    staging: Path,
+    observer: StageObserver,
+) -> CleanedMap:
+    """Clean a map of several tiles, and write its results."""
+    with workers_for(job.configuration) as executor:
+        result = clean_tiles(
+            job,
+            executor,
+            observer,
+            lambda plan: check_plan(plan, job.configuration, job.root),
+        )
+        labels = open_rows(job.rows_path("label"), np.uint8)
+        write_maps(collection, labels, names, staging, observer, job, executor)
+    tables: tuple[NDArray[np.int32] | None, NDArray[np.float64] | None] = (None, None)
+    if job.configuration.output.labels:
+        tables = (
+            open_rows(job.rows_path("cluster"), np.int32),
+            open_rows(job.rows_path("density"), np.float64),
+        )
+    return CleanedMap(labels, *tables, result.counts, result.clusters)
+
+
+@contextmanager
+def workers_for(configuration: Configuration) -> Iterator[Executor]:
+    """Open what does the tasks of a run: this process, workers of this machine, or a cluster."""
+    execution = configuration.execution
+    workers = available_cores(execution.workers)
+    if execution.scheduler is not None:
+        with running_cluster(execution.scheduler) as executor:
+            yield executor
+    elif execution.cluster == "none" or workers == 1:
+        yield InProcess()
+    else:
+        with local_workers(workers, worker_memory_limit(configuration, workers)) as executor:
+            yield executor
+
+
+def open_job(
+    work: Path,
+    paths: Sequence[Path],
+    digest: str,
+    configuration: Configuration,
+    fresh: bool,
+    observer: StageObserver,
+) -> Job:
+    """Go on with the work of an earlier run of the same map and configuration, or begin anew.
+
+    Parameters
+    ----------
+    work : Path
+        The work folder.
+    paths : sequence of Path
+        The map's files.
+    digest : str
+        Of their bytes.
+    configuration : Configuration
+    fresh : bool
+        Begin anew in any case.
+    observer : StageObserver
+        Told when work of another map or configuration is given up.
+    """
+    job = Job(work, job_key(digest, configuration), tuple(paths), configuration)
+    if (work / JOB_FILE).exists():
+        try:
+            stored = json.loads((work / JOB_FILE).read_text(encoding="utf-8"))["key"]
+        except (ValueError, KeyError):
+            stored = None
+        if fresh or stored != job.key:
+            if not fresh:
+                observer.warn(
+                    f"{work}: holds the work of another map or configuration; starting over"
+                )
+            shutil.rmtree(work)
+    work.mkdir(exist_ok=True)
+    job.save()
+    return job
+
+
+def job_key(digest: str, configuration: Configuration) -> str:
+    """Return the hash of all that decides what tasks leave: map, configuration, version."""
+    decisive = configuration.model_dump(mode="json", exclude={"execution"})
+    decisive["output"] = {"labels": configuration.output.labels}
+    text = json.dumps([version("dynahull-pipeline"), digest, decisive], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_points(
@@ -114,7 +270,7 @@ def read_points(
     observer.stage("reading", collection.point_count)
     points = np.empty((collection.point_count, 3))
     classes = np.zeros(collection.point_count, np.uint8) if collection.has_classification else None
-    for _, batch in collection.batches(_BATCH):
+    for _, batch in collection.batches(BATCH):
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         points[rows] = batch.xyz
         if classes is not None and batch.classification is not None:
@@ -125,53 +281,76 @@ def read_points(
 
 def write_maps(
     collection: MapCollection,
-    result: CleaningResult,
+    labels: NDArray[np.uint8],
     names: OutputNames,
     folder: Path,
     observer: StageObserver,
+    job: Job | None = None,
+    executor: Executor | None = None,
 ) -> None:
     """Stream the input once more into its static and its dynamic part.
+
+    Parameters
+    ----------
+    collection : MapCollection
+    labels : (N,) uint8 array
+    names : OutputNames
+    folder : Path
+    observer : StageObserver
+    job, executor : Job and Executor, optional
+        Files whose records are of one size are then written by several workers.
 
     Raises
     ------
     LostPointsError
         When the files written do not add up to the input.
     """
-    observer.stage("writing", collection.point_count)
-    kept = result.kept
+    outputs: list[tuple[Path, Path]] = []
+    for static, dynamic in zip(names.static, names.dynamic, strict=True):
+        for name in (static, dynamic):
+            if (folder / name).exists() or name in {path for pair in outputs for path in pair}:
+                raise LostPointsError(f"{name}: two files of the map would be written here")
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        outputs.append((folder / static, folder / dynamic))
+    in_parts = []
+    if job is not None and executor is not None:
+        in_parts = [index for index, each in enumerate(collection.readers) if each.writes_parts]
+        shutil.rmtree(job.root / "write", ignore_errors=True)
+        plan = plan_parts(job, in_parts, outputs)
+        exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
+        finish_parts(job, plan)
+    streams = [index for index in range(len(outputs)) if index not in set(in_parts)]
     first_rows = [*collection.first_rows, collection.point_count]
-    for index, reader in enumerate(collection.readers):
-        kept_here = kept[first_rows[index] : first_rows[index + 1]]
-        static, dynamic = folder / names.static[index], folder / names.dynamic[index]
-        if static.exists() or dynamic.exists():
-            raise LostPointsError(f"{static.name}: two files of the map would be written here")
-        static.parent.mkdir(parents=True, exist_ok=True)
-        dynamic.parent.mkdir(parents=True, exist_ok=True)
-        staying = int(np.count_nonzero(kept_here))
-        with ExitStack() as stack:
-            cleaned = stack.enter_context(reader.writer(static, staying))
-            ghosts = stack.enter_context(reader.writer(dynamic, len(kept_here) - staying))
-            for batch in reader.batches(_BATCH):
-                chosen = kept_here[batch.first_row : batch.first_row + len(batch.xyz)]
-                cleaned.write(batch.select(chosen))
-                ghosts.write(batch.select(~chosen))
-                observer.advance(len(batch.xyz))
-        written = sum(open_map(path).description.point_count for path in (static, dynamic))
-        if written != len(kept_here):
-            raise LostPointsError(
-                f"{reader.description.path}: {len(kept_here)} points read, {written} written"
-            )
+    observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
+    for index in streams:
+        of_file = labels[first_rows[index] : first_rows[index + 1]]
+        write_stream(collection.readers[index], of_file, *outputs[index], observer.advance)
+    for reader, places in zip(collection.readers, outputs, strict=True):
+        check_written(reader, *places)
 
 
-def write_labels(result: CleaningResult, path: Path) -> None:
+def write_labels(cleaned: CleanedMap, path: Path) -> None:
     """Write label, cluster and density of every point, in input order, as Parquet."""
     titles = pa.array([label.title for label in Label])
-    columns = {
-        "label": pa.DictionaryArray.from_arrays(pa.array(result.labels.astype(np.int8)), titles),
-        "cluster": pa.array(result.cluster),
-        "density": pa.array(result.density),
-    }
-    pq.write_table(pa.table(columns), path, compression="zstd", row_group_size=_BATCH)
+    schema = pa.schema(
+        {
+            "label": pa.dictionary(pa.int8(), pa.string()),
+            "cluster": pa.int32(),
+            "density": pa.float64(),
+        }
+    )
+    assert cleaned.cluster is not None and cleaned.density is not None  # asked for
+    with ExitStack() as stack:
+        writer = stack.enter_context(pq.ParquetWriter(path, schema, compression="zstd"))
+        for start in range(0, len(cleaned.labels), BATCH):
+            rows = slice(start, start + BATCH)
+            codes = pa.array(np.asarray(cleaned.labels[rows]).astype(np.int8))
+            columns = [
+                pa.DictionaryArray.from_arrays(codes, titles),
+                pa.array(np.asarray(cleaned.cluster[rows])),
+                pa.array(np.asarray(cleaned.density[rows])),
+            ]
+            writer.write_table(pa.table(columns, schema=schema), row_group_size=BATCH)
 
 
 def _notes(collection: MapCollection) -> list[str]:

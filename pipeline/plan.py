@@ -1,0 +1,255 @@
+"""The plan of a run: its tiles, and what they will take, before any of it is done."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.ground import ground_radius, height_radius
+from pipeline.configuration import Configuration
+from pipeline.errors import PlanError
+from pipeline.machine import available_memory
+from tiling.formats.collection import MapCollection
+from tiling.layout import Layout, quadtree
+from tiling.occupancy import Occupancy
+from tiling.survey import Survey
+
+_BASE_BYTES = 350 << 20
+"""Of a process with all libraries loaded; see docs/scaling.md for this and the next figures."""
+
+_BYTES_A_POINT = 260
+"""Of the largest tile, core and halo, in the stage that takes most."""
+
+_BYTES_ON_DISK = 100
+"""A point of a tile, core or halo, in pieces, chunks and ground-free points together."""
+
+_SCORES_ON_DISK = 40
+"""A point of the map: densities, labels, and what else is kept of each row."""
+
+_MICROSECONDS_A_POINT = 6.0
+"""Of the core; on one worker of a machine of 2023."""
+
+_MICROSECONDS_A_HALO_POINT = 2.0
+
+_WIDEST_REACH = 2.0
+"""Metres of halo for neighbours, at most: points that need more are finished from other tiles."""
+
+_SPARSE_SHARE = 0.1
+"""Share of the points, in the sparsest columns, that the halo is not made for."""
+
+SMALLEST_REACH = 0.25
+"""Metres of halo for neighbours, at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a map is cut, and what that takes.
+
+    Attributes
+    ----------
+    point_count : int
+        Points of the map.
+    layout : Layout
+    halo : float
+        Metres.
+    held : (T,) int64 array
+        Points in core and halo of each tile, to the nearest lattice column.
+    workers : int
+    worker_memory : int
+        Bytes that a worker takes at most, projected.
+    disk : int
+        Bytes of temporary files at most, projected; the outputs not counted.
+    output_size : int
+        Bytes of the outputs, about.
+    seconds : float
+        Time of the run, projected roughly.
+    """
+
+    point_count: int
+    layout: Layout
+    halo: float
+    held: NDArray[np.int64]
+    workers: int
+    worker_memory: int
+    disk: int
+    output_size: int
+    seconds: float
+
+    def to_text(self) -> str:
+        """Return the lines that `plan` prints."""
+        counts = self.layout.counts
+        core = int(counts.sum())
+        share = self.held.sum() / core - 1 if core else 0.0
+        sizes = (
+            f"{counts.min():,} to {counts.max():,} points, median {int(np.median(counts)):,}"
+            if len(counts)
+            else "no points"
+        )
+        return "\n".join(
+            [
+                f"points:            {self.point_count:,}",
+                f"tiles:             {len(counts):,} ({sizes})",
+                f"halo:              {self.halo:.2f} m, {100 * share:.0f} % more points to read",
+                f"workers:           {self.workers}",
+                f"memory a worker:   {in_units(self.worker_memory)}, at most",
+                f"temporary files:   {in_units(self.disk)}, at most",
+                f"outputs:           about {in_units(self.output_size)}",
+                f"time:              about {in_time(self.seconds)}",
+            ]
+        )
+
+
+def is_one_tile(collection: MapCollection, configuration: Configuration) -> bool:
+    """Tell whether a map is a single tile, which is cleaned in memory.
+
+    It is where it has no more points than a tile may have, and where the ground step must look
+    at the map as a whole.
+    """
+    whole = ground_radius(configuration.ground) is None
+    return whole or collection.point_count <= configuration.tiling.max_points
+
+
+def decision_radius(configuration: Configuration) -> float:
+    """Return the metres within which all points lie that decide if a point is ground or above.
+
+    Infinite where there is no such distance.
+    """
+    radius = ground_radius(configuration.ground)
+    if radius is None:
+        return np.inf
+    if configuration.max_height is not None:
+        radius += height_radius(configuration.ground)
+    return radius
+
+
+def make_plan(
+    collection: MapCollection, survey: Survey, configuration: Configuration, workers: int
+) -> Plan:
+    """Plan how a map is cut.
+
+    Parameters
+    ----------
+    collection : MapCollection
+    survey : Survey
+        Of the whole map.
+    configuration : Configuration
+    workers : int
+        That will share the work.
+
+    Raises
+    ------
+    PlanError
+        When a lattice column alone holds more points than a worker has memory for.
+    """
+    layout = quadtree(survey.occupancy, configuration.tiling.max_points)
+    halo = configuration.tiling.halo
+    if halo == "auto":
+        k = configuration.neighbours.k
+        halo = decision_radius(configuration) + neighbour_reach(survey.occupancy, k)
+    held = points_held(layout, survey.occupancy, halo)
+    around = max(halo, decision_radius(configuration))
+    gathered = held if around == halo else points_held(layout, survey.occupancy, around)
+    core, all_held = int(layout.counts.sum()), int(held.sum())
+    seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
+    return Plan(
+        point_count=survey.point_count,
+        layout=layout,
+        halo=halo,
+        held=held,
+        workers=workers,
+        worker_memory=_BASE_BYTES + _BYTES_A_POINT * int(gathered.max(initial=0)),
+        disk=all_held * _BYTES_ON_DISK + survey.point_count * _SCORES_ON_DISK,
+        output_size=sum(path.stat().st_size for path in collection.paths),
+        seconds=seconds / 1e6 / workers,
+    )
+
+
+def neighbour_reach(occupancy: Occupancy, k: int) -> float:
+    """Estimate how far the k-th neighbour of most points is, metres: the halo need not be wider.
+
+    A column's points are taken to be spread evenly over its ground plan.
+    """
+    if not len(occupancy.counts):
+        return SMALLEST_REACH
+    order = np.argsort(occupancy.counts)
+    below = np.cumsum(occupancy.counts[order])
+    at = int(np.searchsorted(below, _SPARSE_SHARE * below[-1]))
+    a_square_metre = occupancy.counts[order[at]] / occupancy.cell**2
+    reach = float(np.sqrt(k / (np.pi * a_square_metre)))
+    return float(np.clip(np.ceil(reach * 20) / 20, SMALLEST_REACH, _WIDEST_REACH))
+
+
+def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np.int64]:
+    """Count the points in core and halo of each tile, columns whose middle is there counting whole.
+
+    Returns
+    -------
+    (T,) int64 array
+    """
+    middles = (occupancy.columns + 0.5) * occupancy.cell
+    held = np.empty(len(layout), np.int64)
+    for tile in range(len(layout)):
+        low, high = layout.low[tile] - halo, layout.high[tile] + halo
+        # The columns are in the order of x.
+        first, end = np.searchsorted(middles[:, 0], [low[0], high[0]])
+        y = middles[first:end, 1]
+        held[tile] = occupancy.counts[first:end][(y >= low[1]) & (y < high[1])].sum()
+    return held
+
+
+def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
+    """Refuse a plan that cannot be carried out here.
+
+    Parameters
+    ----------
+    plan : Plan
+    configuration : Configuration
+    folder : Path
+        Where results and temporary files will lie; it need not be there yet.
+
+    Raises
+    ------
+    PlanError
+        In one line: what it takes, what there is, and what to change.
+    """
+    memory = worker_memory_limit(configuration, plan.workers)
+    if plan.worker_memory > memory:
+        largest = int(plan.held.max())
+        raise PlanError(
+            f"a worker would take {in_units(plan.worker_memory)} for the largest tile "
+            f"({largest:,} points with its halo) and has {in_units(memory)}: "
+            "choose a smaller tiling.max_points or tiling.halo, or fewer execution.workers"
+        )
+    place = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    free, wanted = shutil.disk_usage(place).free, plan.disk + plan.output_size
+    if wanted > free:
+        raise PlanError(
+            f"{place}: the run would write {in_units(plan.disk)} of temporary files and "
+            f"{in_units(plan.output_size)} of results, and {in_units(free)} are free"
+        )
+
+
+def worker_memory_limit(configuration: Configuration, workers: int) -> int:
+    """Return the bytes that each worker may take: as configured, or its share of what is free."""
+    memory = configuration.execution.memory
+    return available_memory() // workers if memory == "auto" else memory
+
+
+def in_units(size: float) -> str:
+    """Return a number of bytes as people read it."""
+    units = ["bytes", "KiB", "MiB", "GiB", "TiB"]
+    while size >= 1024 and len(units) > 1:
+        size /= 1024
+        del units[0]
+    return f"{size:.0f} {units[0]}" if units[0] == "bytes" else f"{size:.1f} {units[0]}"
+
+
+def in_time(seconds: float) -> str:
+    """Return a duration as people read it."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

@@ -1,0 +1,237 @@
+"""Algorithm 1 over tiles: the same labels and densities as in memory, to the last bit."""
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.algorithm import warn_of_clusters
+from dynahull.clustering import fit_clusters, sample_rows
+from dynahull.labels import Label
+from dynahull.rescale import removal_percentages
+from dynahull.result import NO_CLUSTER, ClusterSummary
+from pipeline.plan import Plan, make_plan
+from pipeline.progress import StageObserver
+from pipeline.selection import Cut, find_cuts
+from pipeline.tiles.execution import Executor
+from pipeline.tiles.ground import SAMPLE_NAMES
+from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
+from pipeline.tiles.rows import make_rows
+from pipeline.tiles.scoring import first_cluster, save_cuts, scored_points
+from pipeline.tiles.stages import do_stage
+from pipeline.tiles.work import TaskReport
+from tiling.atomic import atomic_file
+from tiling.chunk_store import ChunkStore
+from tiling.grid import grid_of
+from tiling.survey import Survey, merge
+
+
+@dataclass(frozen=True, slots=True)
+class TiledResult:
+    """What the tiles together say; labels, clusters and densities are in files, a value a row.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        Points of each label.
+    clusters : tuple of ClusterSummary
+    tiles : int
+    """
+
+    counts: dict[str, int]
+    clusters: tuple[ClusterSummary, ...]
+    tiles: int
+
+
+def clean_tiles(
+    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
+) -> TiledResult:
+    """Label every point of a map that is cut into tiles.
+
+    Parameters
+    ----------
+    job : Job
+    executor : Executor
+    observer : StageObserver
+    check : callable
+        Told of the plan before any tile is cut; raises where it cannot be carried out.
+    """
+    cut_into_chunks(job, executor, observer, check)
+    tiles = job.store.layout.counts.tolist()
+    exhaust(do_stage(job, executor, observer, "ground", tiles))
+    find_clusters(job, observer)
+    counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
+    percentages, cuts = _rescaled(job, counts, observer)
+    _make_results(job)
+    labelled = _Labelled(job)
+    for tile, report in do_stage(job, executor, observer, "label", tiles):
+        labelled.add(tile, report)
+    return labelled.result(counts, percentages, cuts)
+
+
+def cut_into_chunks(
+    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
+) -> None:
+    """Survey the map, plan its tiles, and cut it into their chunks."""
+    rows = [len(part) for part in job.row_ranges]
+    exhaust(do_stage(job, executor, observer, "survey", rows))
+    if not (job.root / CHUNKS_FOLDER / "store.json").exists():
+        survey = merge(_surveys(job))
+        plan = make_plan(job.collection, survey, job.configuration, executor.workers)
+        check(plan)
+        _store(job, plan, survey).save()
+    if job.needs_classes:
+        make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
+    exhaust(do_stage(job, executor, observer, "cut", rows))
+    tiles = job.store.layout.counts.tolist()
+    exhaust(do_stage(job, executor, observer, "chunk", tiles))
+    shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
+
+
+def find_clusters(job: Job, observer: StageObserver) -> None:
+    """Fit the model of the map on the sample gathered from all tiles."""
+    if job.configuration.clustering.scope == "tile" or (job.root / CLUSTERS_FILE).exists():
+        return
+    parameters = job.configuration.clustering
+    tiles = range(len(job.store.layout))
+    observer.stage("clustering", len(tiles))
+    xyz, rows = np.empty((0, 3)), np.empty(0, np.int64)
+    for tile in tiles:
+        more_xyz, more_rows = job.work.load("ground", tile, *SAMPLE_NAMES)
+        xyz, rows = np.concatenate([xyz, more_xyz]), np.concatenate([rows, more_rows])
+        # A sample of samples is the sample of the whole: so it never grows.
+        chosen = sample_rows(rows, job.finite_count, parameters)
+        xyz, rows = xyz[chosen], rows[chosen]
+        observer.advance(1)
+    clusters = fit_clusters(xyz, parameters)
+    with atomic_file(job.root / CLUSTERS_FILE) as temporary, temporary.open("wb") as stream:
+        np.save(stream, clusters.centroids)
+
+
+def exhaust(stage: Iterator[tuple[int, TaskReport]]) -> None:
+    """Do a stage whose reports say nothing more."""
+    for _ in stage:
+        pass
+
+
+def _surveys(job: Job) -> Iterator[Survey]:
+    names = ("point_counts", "bounds", "cell", "columns", "counts")
+    for number in range(len(job.row_ranges)):
+        yield Survey.from_arrays(*job.work.load("survey", number, *names))
+
+
+def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:
+    chunks = job.configuration.tiling.format
+    return ChunkStore(
+        job.root / CHUNKS_FOLDER,
+        plan.layout,
+        plan.halo,
+        survey.point_count,
+        chunks,
+        None if chunks == "parquet" else grid_of(job.collection, survey),
+    )
+
+
+def _counted(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> NDArray[np.int64]:
+    """Return N_i of every cluster of the map, from the counts of all tiles."""
+    if job.configuration.clustering.scope == "map":
+        counts = np.zeros(len(job.clusters.centroids), np.int64)
+        for _, report in reports:
+            counts += np.array(report.counts[1:], np.int64)
+        return counts
+    numbered = {}
+    for tile, report in reports:
+        for cluster, count in enumerate(report.counts[1:], first_cluster(job, tile)):
+            numbered[cluster] = count
+    counts = np.full(max(numbered, default=-1) + 1, -1, np.int64)
+    counts[list(numbered)] = list(numbered.values())
+    return counts
+
+
+def _rescaled(
+    job: Job, counts: NDArray[np.int64], observer: StageObserver
+) -> tuple[Sequence[Fraction], list[Cut] | None]:
+    """Apply Eq. 1, and find the cut of each cluster over all tiles."""
+    observer.stage("rescale", len(job.store.layout))
+    removal = job.configuration.removal
+    present = counts[counts >= 0].tolist()
+    wanted = job.configuration.clustering.count
+    warn_of_clusters(present, wanted, observer)
+    percentages = removal_percentages(present, removal.min_percent, removal.max_percent)
+    if job.configuration.clustering.scope == "tile":
+        if present:
+            save_cuts(job, present, None)
+        return percentages, None
+    tiles = range(len(job.store.layout))
+    cuts = find_cuts(
+        lambda: (scored_points(job, tile) for tile in tiles),
+        present,
+        percentages,
+        removal.threshold,
+    )
+    save_cuts(job, present, cuts)
+    return percentages, cuts
+
+
+def _make_results(job: Job) -> None:
+    count = job.collection.point_count
+    make_rows(job.rows_path("label"), count, np.uint8, Label.INVALID)
+    if job.configuration.output.labels:
+        make_rows(job.rows_path("cluster"), count, np.int32, NO_CLUSTER)
+        make_rows(job.rows_path("density"), count, np.float64, np.nan)
+
+
+class _Labelled:
+    """Adds up what the tiles report of their labels."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._labels = np.zeros(len(Label), np.int64)
+        # Coordinates that are not finite are in no tile.
+        self._labels[Label.INVALID] = job.collection.point_count - job.finite_count
+        self._removed: dict[int, int] = {}
+
+    def add(self, tile: int, report: TaskReport) -> None:
+        """Count a tile."""
+        self._labels += np.array(report.counts[: len(Label)], np.int64)
+        first = first_cluster(self._job, tile)
+        for cluster, removed in enumerate(report.counts[len(Label) :], first):
+            self._removed[cluster] = self._removed.get(cluster, 0) + removed
+
+    def result(
+        self, counts: NDArray[np.int64], percentages: Sequence[Fraction], cuts: list[Cut] | None
+    ) -> TiledResult:
+        """Return what all tiles together say."""
+        job = self._job
+        present = np.flatnonzero(counts >= 0)
+        centroids, thresholds = self._of_map(cuts) if cuts is not None else self._of_tiles()
+        clusters = tuple(
+            ClusterSummary(
+                index=index,
+                centroid=(float(centre[0]), float(centre[1]), float(centre[2])),
+                count=int(counts[index]),
+                percentage=float(percentage),
+                threshold=threshold,
+                removed=self._removed.get(index, 0),
+            )
+            for index, centre, percentage, threshold in zip(
+                present.tolist(), centroids, percentages, thresholds, strict=True
+            )
+        )
+        titles = {label.title: int(self._labels[label]) for label in Label}
+        return TiledResult(titles, clusters, len(job.store.layout))
+
+    def _of_map(self, cuts: list[Cut]) -> tuple[NDArray[np.float64], list[float | None]]:
+        return self._job.clusters.centroids, [cut.density for cut in cuts]
+
+    def _of_tiles(self) -> tuple[NDArray[np.float64], list[float | None]]:
+        centroids = [np.empty((0, 3))]
+        thresholds: list[float | None] = []
+        for tile in range(len(self._job.store.layout)):
+            centroids += self._job.work.load("density", tile, "centroids")
+            (limits,) = self._job.work.load("label", tile, "thresholds")
+            thresholds += [None if np.isnan(limit) else limit for limit in limits.tolist()]
+        return np.concatenate(centroids), thresholds

@@ -1,0 +1,185 @@
+"""Where tasks run: in this process, on workers of this machine, or on a cluster that is running.
+
+One interface, `Executor.run`: a stream of task numbers goes in, reports come out as they are ready.
+Few tasks are in flight at a time, and none is kept once it is finished, so that a run of a hundred
+thousand tiles holds no graph of itself.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pipeline.tiles.work import TaskReport
+
+IN_FLIGHT_PER_WORKER = 2
+"""Tasks handed to the scheduler for each worker: one that runs, and one that waits."""
+
+RETRIES = 2
+"""Times that a task is tried again after a fault of the file system."""
+
+ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "RAYON_NUM_THREADS",
+        "ARROW_NUM_THREADS",
+    ),
+    "1",
+)
+"""Environment of a worker: no library starts threads of its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskFailure:
+    """Why a task did not come to its end, in one line."""
+
+    reason: str
+
+
+Task = Callable[[str, int], TaskReport]
+"""A pure function of a run's work folder and the number of a task."""
+
+Outcome = TaskReport | TaskFailure
+
+
+class Executor(Protocol):
+    """Runs tasks."""
+
+    @property
+    def workers(self) -> int:
+        """Tasks that run at a time."""
+
+    def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
+        """Do the tasks of some numbers, and yield number and outcome of each as it is ready.
+
+        A task that fails does not stop the others.
+        """
+
+
+class InProcess:
+    """Runs one task after the other in this process."""
+
+    workers = 1
+
+    def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
+        """Do the tasks, here and now."""
+        for number in numbers:
+            try:
+                outcome = _guarded(task, folder, number)
+            except OSError as error:
+                outcome = TaskFailure(_reason(error))
+            yield number, outcome
+
+
+class OnDask:
+    """Runs tasks on the workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Of which only `submit` and the number of workers are used.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    @property
+    def workers(self) -> int:
+        """Workers that are there now: on a cluster they come and go."""
+        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+
+    def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
+        """Do the tasks, a sliding window of them at a time."""
+        from distributed import as_completed  # noqa: PLC0415 (a second of import time)
+
+        waiting = iter(numbers)
+        flying: dict[Any, int] = {}
+        completed = as_completed(loop=self._client.loop)
+        window = IN_FLIGHT_PER_WORKER * self.workers
+        while True:
+            while len(flying) < window and (number := next(waiting, None)) is not None:
+                future = self._client.submit(
+                    _guarded, task, folder, number, pure=False, retries=RETRIES
+                )
+                flying[future] = number
+                completed.add(future)
+            if not flying:
+                return
+            future = next(completed)
+            number = flying.pop(future)
+            if future.status == "finished":
+                yield number, future.result()
+            else:
+                yield number, TaskFailure(_reason(future.exception()))
+            future.release()
+            del future
+            window = IN_FLIGHT_PER_WORKER * self.workers
+
+
+def _guarded(task: Task, folder: str, number: int) -> Outcome:
+    """Do a task; let only faults of the file system through, which are worth another try.
+
+    The text of an error is returned and not the error: not all of them survive being sent.
+    """
+    try:
+        return task(folder, number)
+    except OSError:
+        raise
+    except Exception as error:
+        return TaskFailure(_reason(error))
+
+
+def _reason(error: BaseException | None) -> str:
+    name = type(error).__name__
+    if name == "KilledWorker":
+        return "its workers died, probably for want of memory; try a smaller tiling.max_points"
+    if name == "FutureCancelledError":
+        return "the connection to the scheduler was lost"
+    return " ".join(str(error).split()) or name
+
+
+@contextmanager
+def local_workers(workers: int, memory: int) -> Iterator[Executor]:
+    """Start workers on this machine, one process with one thread each.
+
+    Parameters
+    ----------
+    workers : int
+    memory : int
+        Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
+    """
+    import dask  # noqa: PLC0415 (only where it is used)
+    from distributed import Client, LocalCluster  # noqa: PLC0415
+
+    settings: dict[str, Any] = {
+        "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+        "distributed.worker.memory.target": False,
+        "distributed.worker.memory.spill": False,
+        "distributed.worker.memory.pause": False,
+        "distributed.comm.timeouts.connect": "60s",
+    }
+    with (
+        dask.config.set(settings),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory,
+            dashboard_address=None,
+            silence_logs=50,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield OnDask(client)
+
+
+@contextmanager
+def running_cluster(address: str) -> Iterator[Executor]:
+    """Use the workers of a scheduler that is running, such as `tcp://10.0.0.1:8786`."""
+    from distributed import Client  # noqa: PLC0415
+
+    with Client(address, set_as_default=False) as client:
+        yield OnDask(client)

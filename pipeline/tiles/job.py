@@ -1,0 +1,117 @@
+"""What every task of a run must know: the map, the configuration, and how the map is cut.
+
+It is kept in the work folder, so that a task needs no more than the folder's name and its number.
+"""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from dynahull.clustering import Clusters
+from pipeline.configuration import Configuration
+from pipeline.plan import decision_radius
+from pipeline.tiles.work import WorkFolder
+from tiling.chunk_store import ChunkStore
+from tiling.formats.collection import MapCollection
+
+JOB_FILE = "job.json"
+CLUSTERS_FILE = "clusters.npy"
+CHUNKS_FOLDER = "tiles"
+
+ROWS_AT_A_TIME = 1_000_000
+"""Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run, as its tasks see it.
+
+    Attributes
+    ----------
+    root : Path
+        The work folder.
+    key : str
+        Hash of the input and of the configuration.
+    paths : tuple of Path
+        The map's files.
+    configuration : Configuration
+    """
+
+    root: Path
+    key: str
+    paths: tuple[Path, ...]
+    configuration: Configuration
+
+    def save(self) -> None:
+        """Write what `open` reads."""
+        values = {
+            "key": self.key,
+            "paths": [str(path.resolve()) for path in self.paths],
+            "configuration": self.configuration.model_dump(mode="json"),
+        }
+        self.work.write_json(self.root / JOB_FILE, values)
+
+    @classmethod
+    def open(cls, folder: str) -> "Job":
+        """Open the job of a work folder; the same object while the file stays the same."""
+        root = Path(folder)
+        return _opened(root, (root / JOB_FILE).stat().st_mtime_ns)
+
+    @cached_property
+    def work(self) -> WorkFolder:
+        """The work folder."""
+        return WorkFolder(self.root, self.key)
+
+    @cached_property
+    def collection(self) -> MapCollection:
+        """The map."""
+        return MapCollection(self.paths)
+
+    @cached_property
+    def row_ranges(self) -> list[range]:
+        """The ranges of rows that the map is read in."""
+        return self.collection.row_ranges(ROWS_AT_A_TIME)
+
+    @cached_property
+    def store(self) -> ChunkStore:
+        """The map cut into chunks; there once it is planned."""
+        return ChunkStore.open(self.root / CHUNKS_FOLDER)
+
+    @cached_property
+    def decision_radius(self) -> float:
+        """Metres within which all points lie that decide whether a point is free of the ground."""
+        return decision_radius(self.configuration)
+
+    @cached_property
+    def clusters(self) -> Clusters:
+        """The model of the whole map; there once it is fitted."""
+        return Clusters(np.load(self.root / CLUSTERS_FILE))
+
+    @property
+    def needs_classes(self) -> bool:
+        """Whether the ground is told by the classes of a LAS map."""
+        return self.configuration.ground.method == "las_class"
+
+    @property
+    def finite_count(self) -> int:
+        """Points of the map whose coordinates are finite."""
+        return int(self.store.layout.counts.sum())
+
+    def rows_path(self, name: str) -> Path:
+        """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""
+        return self.root / f"{name}.rows"
+
+
+@lru_cache(maxsize=2)
+def _opened(root: Path, changed: int) -> Job:
+    del changed
+    stored = json.loads((root / JOB_FILE).read_text(encoding="utf-8"))
+    return Job(
+        root,
+        stored["key"],
+        tuple(Path(path) for path in stored["paths"]),
+        Configuration.model_validate(stored["configuration"]),
+    )

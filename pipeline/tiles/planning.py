@@ -1,0 +1,73 @@
+"""A map planned, or cut into chunks, without being cleaned."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.configuration import Configuration
+from pipeline.errors import OutputError
+from pipeline.machine import available_cores
+from pipeline.plan import check_plan, is_one_tile, make_plan
+from pipeline.progress import StageObserver
+from pipeline.run import open_job, workers_for
+from pipeline.tiles.cleaning import cut_into_chunks
+from pipeline.tiles.job import CHUNKS_FOLDER
+from pipeline.tiles.work import WORK_FOLDER
+from tiling.formats.collection import MapCollection, content_hash, find_map_files
+from tiling.survey import survey
+
+
+def plan_map(
+    maps: Sequence[str], configuration: Configuration, observer: StageObserver, picture: Path | None
+) -> str:
+    """Survey a map and return its plan as text; draw it if wanted.
+
+    Raises
+    ------
+    TilingError, PipelineError
+        `PlanError` where the run would be refused.
+    """
+    workers = available_cores(configuration.execution.workers)
+    collection = MapCollection(find_map_files(maps), threads=workers)
+    observer.stage("survey", collection.point_count)
+    surveyed = survey(collection)
+    observer.finish()
+    plan = make_plan(collection, surveyed, configuration, workers)
+    if picture is not None:
+        from pipeline.plan_picture import draw_plan  # noqa: PLC0415 (an optional package)
+
+        draw_plan(plan, surveyed, picture)
+    text = plan.to_text()
+    if is_one_tile(collection, configuration):
+        text += "\none tile: cleaned in memory, without temporary files"
+    else:
+        check_plan(plan, configuration, Path())
+    return text if picture is None else f"{text}\ndrawn:             {picture}"
+
+
+def tile_map(
+    maps: Sequence[str], output: Path, configuration: Configuration, observer: StageObserver
+) -> int:
+    """Cut a map into chunks that lie in a folder of their own; return how many.
+
+    Raises
+    ------
+    TilingError, PipelineError
+        With no chunk in the folder.
+    """
+    if output.exists() and any(path.name != WORK_FOLDER for path in output.iterdir()):
+        raise OutputError(f"{output}: expected an empty folder for the chunks; choose another -o")
+    paths = find_map_files(maps)
+    output.mkdir(parents=True, exist_ok=True)
+    work = output / WORK_FOLDER
+    job = open_job(work, paths, content_hash(paths), configuration, False, observer)
+    with workers_for(configuration) as executor:
+        cut_into_chunks(
+            job, executor, observer, lambda plan: check_plan(plan, configuration, output)
+        )
+    observer.finish()
+    tiles = len(job.store.layout)
+    for name in ("chunks", "store.json"):
+        (work / CHUNKS_FOLDER / name).rename(output / name)
+    shutil.rmtree(work)
+    return tiles

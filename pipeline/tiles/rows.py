@@ -1,0 +1,29 @@
+"""One value for each row of the map, in a file that many tasks fill in: labels, densities."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_AT_A_TIME = 1 << 22
+
+
+def make_rows(path: Path, count: int, dtype: DTypeLike, value: float) -> None:
+    """Make the file with one value everywhere, unless it is there."""
+    kind = np.dtype(dtype)
+    if path.exists() and path.stat().st_size == count * kind.itemsize:
+        return
+    temporary = path.with_suffix(".part")
+    block = np.full(min(count, _AT_A_TIME), value, kind)
+    with temporary.open("wb") as stream:
+        for start in range(0, count, _AT_A_TIME):
+            stream.write(block[: count - start].data)
+    temporary.replace(path)
+
+
+def open_rows(path: Path, dtype: DTypeLike, mode: str = "r") -> NDArray[Any]:
+    """Map the file into memory; `mode` is that of `numpy.memmap`."""
+    if path.stat().st_size == 0:
+        return np.empty(0, dtype)
+    return np.memmap(path, dtype, mode=mode)  # type: ignore[call-overload, no-any-return]

@@ -1,0 +1,154 @@
+"""One stage of a run: its tasks done in any order, each once, whatever happened before."""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from pipeline.errors import TasksFailedError
+from pipeline.progress import StageObserver
+from pipeline.tiles.cutting import assemble_tile, cut_rows, survey_rows
+from pipeline.tiles.execution import Executor, TaskFailure
+from pipeline.tiles.ground import find_ground
+from pipeline.tiles.job import Job
+from pipeline.tiles.scoring import label_tile, score_tile
+from pipeline.tiles.work import TaskReport
+from pipeline.tiles.writing import write_part
+
+TASKS: Mapping[str, Callable[[Job, int], TaskReport]] = {
+    "survey": survey_rows,
+    "cut": cut_rows,
+    "chunk": assemble_tile,
+    "ground": find_ground,
+    "density": score_tile,
+    "label": label_tile,
+    "write": write_part,
+}
+"""The stages whose work is shared out, in their order."""
+
+_STATE_EVERY = 1.0
+"""Seconds between two updates of what other terminals are told."""
+
+_NAMED = 10
+"""Failed tasks that an error names one by one."""
+
+
+def do_task(stage: str, folder: str, number: int) -> TaskReport:
+    """Do one task of a run, and mark it as done. This is what workers are given."""
+    job = Job.open(folder)
+    begun = time.perf_counter()
+    report = TASKS[stage](job, number)
+    report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
+    job.work.finish(stage, number, report)
+    return report
+
+
+def do_stage(
+    job: Job, executor: Executor, observer: StageObserver, stage: str, points: Sequence[int]
+) -> Iterator[tuple[int, TaskReport]]:
+    """Do the tasks of a stage that are not done yet, the largest first.
+
+    Parameters
+    ----------
+    job : Job
+    executor : Executor
+    observer : StageObserver
+        Told of points, not of tasks.
+    stage : str
+        A key of `TASKS`.
+    points : sequence of int
+        Points that each task is about.
+
+    Yields
+    ------
+    number : int
+        Of a task that is done, now or in an earlier run, in any order.
+    report : TaskReport
+
+    Raises
+    ------
+    TasksFailedError
+        In the end, when tasks failed: which, and why.
+    """
+    observer.stage(stage, sum(points))
+    job.work.make(stage)
+    state = _State(job, stage, points)
+    waiting = []
+    for number in sorted(range(len(points)), key=lambda task: -points[task]):
+        earlier = job.work.report(stage, number)
+        if earlier is None:
+            waiting.append(number)
+            continue
+        state.count(earlier)
+        observer.advance(earlier.points)
+        yield number, earlier
+    state.begin()
+    failures: dict[int, str] = {}
+    for number, outcome in executor.run(partial(do_task, stage), str(job.root), waiting):
+        if isinstance(outcome, TaskFailure):
+            failures[number] = outcome.reason
+            state.fail(number, outcome.reason)
+            observer.warn(f"{stage} task {number} failed: {outcome.reason}")
+            continue
+        state.count(outcome)
+        observer.advance(outcome.points)
+        yield number, outcome
+    state.write()
+    if failures:
+        raise TasksFailedError(_failure_line(stage, failures))
+
+
+def _failure_line(stage: str, failures: Mapping[int, str]) -> str:
+    named = [f"{number}: {failures[number]}" for number in sorted(failures)[:_NAMED]]
+    more = f"; and {len(failures) - _NAMED} more" if len(failures) > _NAMED else ""
+    return (
+        f"{len(failures)} tasks of the stage {stage} failed ({'; '.join(named)}{more}); "
+        "what is done is kept, and the same command goes on from there"
+    )
+
+
+class _State:
+    """How far a stage is, for `status` to read from another terminal."""
+
+    def __init__(self, job: Job, stage: str, points: Sequence[int]) -> None:
+        self._job = job
+        self._values: dict[str, Any] = {
+            "stage": stage,
+            "process": os.getpid(),
+            "tasks": len(points),
+            "points": sum(points),
+            "done_tasks": 0,
+            "done_points": 0,
+            "failed": {},
+        }
+        self._earlier = 0
+        self._begun = time.time()
+        self._written = 0.0
+
+    def begin(self) -> None:
+        """Start the clock: what is done so far was done in an earlier run."""
+        self._earlier = self._values["done_points"]
+        self._begun = time.time()
+        self.write()
+
+    def count(self, report: TaskReport) -> None:
+        self._values["done_tasks"] += 1
+        self._values["done_points"] += report.points
+        if self._earlier or time.time() - self._written > _STATE_EVERY:
+            self.write()
+
+    def fail(self, number: int, reason: str) -> None:
+        self._values["failed"][number] = reason
+        self.write()
+
+    def write(self) -> None:
+        now = time.time()
+        if now - self._written < _STATE_EVERY and self._values["done_tasks"] % 64:
+            return
+        self._written = now
+        elapsed = max(now - self._begun, 1e-3)
+        rate = (self._values["done_points"] - self._earlier) / elapsed
+        self._job.work.write_json(
+            self._job.work.state_path, {**self._values, "updated": now, "rate": rate}
+        )
