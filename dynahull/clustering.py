@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from dynahull.parameters import ClusteringParameters
 from dynahull.threads import over_ranges, range_bounds
 
-_ASSIGNMENT_BATCH = 4_096
+_ASSIGNMENT_BATCH = 16_384
 """Points; all that is computed for them stays in the processor's cache."""
 
 _RANKING_BATCH = 65_536
@@ -138,9 +138,10 @@ def _assign(
         batch = points[start : start + _ASSIGNMENT_BATCH].T.copy()
         chosen = nearest[start : start + _ASSIGNMENT_BATCH]
         least = np.full(len(chosen), np.inf)
+        dx, dy, dz = squares = np.empty_like(batch)
         for index, centre in enumerate(centroids):
-            dx, dy, dz = squares = batch - centre[:, None]
-            np.square(squares, out=squares)
+            np.subtract(batch, centre[:, None], out=squares)
+            np.multiply(squares, squares, out=squares)
             distance = np.add(np.add(dx, dy, out=dx), dz, out=dx)
             chosen[distance < least] = index
             np.minimum(distance, least, out=least)
