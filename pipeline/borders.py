@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dynahull.clustering import Clusters
 from dynahull.density import SMALLEST_CLUSTER, reference_densities
 from dynahull.kernels import hull_densities
+from dynahull.kernels.density import HullDensities
 from dynahull.neighbours import nearest_neighbours
 from dynahull.parameters import MethodParameters
 
@@ -67,8 +68,17 @@ class Region:
             Squared distance of their k-th neighbour inside; NaN or infinite if there is none.
         """
         # Rounding is monotonic: a point beyond the border is no nearer than this, to the last bit.
-        border = np.minimum(xyz[:, :2] - self.low, self.high - xyz[:, :2]).min(axis=1)
+        border = self.distance_to_border(xyz)
         return np.asarray((squared_reach < border * border) | np.isposinf(border))
+
+    def distance_to_border(self, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far points inside are from the border, (n,), metres."""
+        return np.asarray(np.minimum(xyz[:, :2] - self.low, self.high - xyz[:, :2]).min(axis=1))
+
+    def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which points lie inside."""
+        flat = xyz[:, :2]
+        return np.asarray(((flat >= self.low) & (flat < self.high)).all(axis=1))
 
 
 class OtherTiles(Protocol):
@@ -136,12 +146,17 @@ def core_densities(
     for cluster in np.unique(membership[core]):
         members = np.flatnonzero(membership == cluster)
         inside, queries = known.select(members), core[members]
-        scores, complete = _inside_densities(inside, queries, region, parameters)
-        pending = np.flatnonzero(queries & ~complete)
+        found = _inside_densities(inside, queries, region, parameters)
+        scores = found.density
+        pending = np.flatnonzero(queries & ~region.suffices(inside.xyz, found.squared_reach))
         finished += len(pending)
-        reachable = _Reachable(inside, known.rows, others, clusters, int(cluster))
-        for start in range(0, len(pending), _QUERIES_AT_A_TIME):
-            batch = pending[start : start + _QUERIES_AT_A_TIME]
+        reachable = _Reachable(inside, known.rows, region, others, clusters, int(cluster))
+        together = np.isfinite(found.squared_reach[pending])
+        for group in _of_like_reach(pending[together], found.squared_reach):
+            scores[group] = reachable.densities_together(group, found.squared_reach, parameters)
+        one_by_one = pending[~together]
+        for start in range(0, len(one_by_one), _QUERIES_AT_A_TIME):
+            batch = one_by_one[start : start + _QUERIES_AT_A_TIME]
             scores[batch] = reachable.densities(inside.select(batch), parameters)
         density[members] = scores
     return CoreDensities(membership[core], density[core], finished)
@@ -149,18 +164,28 @@ def core_densities(
 
 def _inside_densities(
     inside: FreePoints, queries: NDArray[np.bool_], region: Region, parameters: MethodParameters
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Score points by what is inside the region, and tell for which that is enough."""
+) -> HullDensities:
+    """Score points by what is inside the region; a reach that is not known is infinite."""
     k = parameters.neighbours.k
+    nothing = np.full(len(inside), np.nan)
+    unknown = np.full(len(inside), np.inf)
     alone = bool(np.isinf(region.low).all() and np.isinf(region.high).all())
     if len(inside) < (SMALLEST_CLUSTER if alone else k):
-        return np.full(len(inside), np.nan), np.full(len(inside), alone)
+        return HullDensities(nothing, unknown)
     if parameters.density.device == "reference":
         if not alone:
-            return np.full(len(inside), np.nan), np.zeros(len(inside), np.bool_)
-        return reference_densities(inside.xyz, inside.rows, k), np.ones(len(inside), np.bool_)
-    found = hull_densities(inside.xyz, inside.rows, k, queries=queries)
-    return found.density, region.suffices(inside.xyz, found.squared_reach)
+            return HullDensities(nothing, unknown)
+        return HullDensities(reference_densities(inside.xyz, inside.rows, k), unknown)
+    return hull_densities(inside.xyz, inside.rows, k, queries=queries)
+
+
+def _of_like_reach(
+    queries: NDArray[np.intp], squared_reach: NDArray[np.float64]
+) -> Iterator[NDArray[np.intp]]:
+    """Put together queries whose reaches differ by a factor of two at most."""
+    octaves = np.frexp(squared_reach[queries])[1] // 2
+    for octave in np.unique(octaves):
+        yield queries[octaves == octave]
 
 
 class _Reachable:
@@ -170,15 +195,57 @@ class _Reachable:
         self,
         inside: FreePoints,
         known_rows: NDArray[np.int64],
+        region: Region,
         others: OtherTiles,
         clusters: Clusters,
         cluster: int,
     ) -> None:
         self._inside = inside
         self._known_rows = known_rows
+        self._region = region
+        self._border: NDArray[np.float64] | None = None
         self._others = others
         self._clusters = clusters
         self._cluster = cluster
+
+    def densities_together(
+        self,
+        queries: NDArray[np.intp],
+        squared_reach: NDArray[np.float64],
+        parameters: MethodParameters,
+    ) -> NDArray[np.float64]:
+        """Return the density of queries that have k neighbours inside, and a reach from these.
+
+        Nothing farther than that can be a neighbour: so all that may be, from inside the border
+        and from beyond it, is gathered once for all queries.
+        """
+        inside = self._inside
+        if self._border is None:
+            self._border = self._region.distance_to_border(inside.xyz)
+        flat = inside.xyz[queries, :2]
+        # A hair more than the distance, so that no rounding of it hides a tie.
+        reach = np.sqrt(squared_reach[queries]) * (1 + 1e-9)
+        farthest = reach.max()
+        low, high = flat.min(axis=0) - farthest, flat.max(axis=0) + farthest
+        # A query lies within its reach of the border, and its neighbours within that of it.
+        near_border = self._border <= 2 * farthest * (1 + 1e-9)
+        parts = [inside.select(near_border)]
+        for tile in self._others.near(low, high):
+            tile_low, tile_high = self._others.box(tile)
+            apart = np.maximum(np.maximum(tile_low - flat, flat - tile_high), 0.0)
+            if (np.hypot(apart[:, 0], apart[:, 1]) <= reach).any():
+                points = self._others.free_points(tile)
+                within = ((points.xyz[:, :2] >= low) & (points.xyz[:, :2] <= high)).all(axis=1)
+                points = points.select(within & ~self._region.holds(points.xyz))
+                parts.append(self._of_cluster(points))
+        xyz = np.concatenate([part.xyz for part in parts])
+        rows = np.concatenate([part.rows for part in parts])
+        wanted = np.zeros(len(inside), np.bool_)
+        wanted[queries] = True
+        chosen = np.zeros(len(rows), np.bool_)
+        chosen[: len(parts[0])] = wanted[near_border]
+        found = hull_densities(xyz, rows, parameters.neighbours.k, queries=chosen)
+        return found.density[chosen]
 
     def densities(self, queries: FreePoints, parameters: MethodParameters) -> NDArray[np.float64]:
         """Return the density of each query, by its k nearest points of the whole map."""
@@ -208,8 +275,9 @@ class _Reachable:
 
     def _points_of(self, tile: int) -> FreePoints:
         points = self._others.free_points(tile)
-        new = ~np.isin(points.rows, self._known_rows, kind="sort")
-        points = points.select(new)
+        return self._of_cluster(points.select(~np.isin(points.rows, self._known_rows)))
+
+    def _of_cluster(self, points: FreePoints) -> FreePoints:
         return points.select(self._clusters.nearest(points.xyz) == self._cluster)
 
 
