@@ -40,6 +40,20 @@ Points = NDArray[np.float64]
 K = 75
 ROUNDS = 7
 SAMPLE = 9_600
+ALONE = """
+import sys, time
+import numpy as np
+from benchmarks.density import simulated
+from dynahull.kernels import hull_densities
+points = simulated(int(sys.argv[1]))
+rows = np.arange(len(points))
+hull_densities(points[:1000], rows[:1000], 75)
+print("ready", flush=True)
+sys.stdin.readline()
+begin = time.perf_counter()
+hull_densities(points, rows, 75)
+print(time.perf_counter() - begin)
+"""
 PUBLISHED_SAMPLE = 1_000
 
 
@@ -243,8 +257,28 @@ def two_threads(points: Points, rounds: int) -> None:
 
     ratios = [seconds(1) / seconds(2) for _ in range(rounds)]
     print(
-        f"  two threads: {median(ratios):.2f}x one (load of the machine {os.getloadavg()[0]:.1f})"
+        f"  two threads: {median(ratios):.2f}x one (load of the machine {os.getloadavg()[0]:.1f}); "
+        f"two processes that share nothing: {two_processes(len(points), rounds):.2f}x"
     )
+
+
+def two_processes(count: int, rounds: int) -> float:
+    """Return what the machine itself gives for a second core: twice the work by two processes."""
+
+    def seconds(processes: int) -> float:
+        command = [sys.executable, "-c", ALONE, str(count)]
+        started = [
+            subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            for _ in range(processes)
+        ]
+        for each in started:
+            each.stdout.readline()
+        for each in started:
+            each.stdin.write("go\n")
+            each.stdin.flush()
+        return max(float(each.communicate()[0]) for each in started)
+
+    return median(2 * seconds(1) / seconds(2) for _ in range(rounds))
 
 
 def peak_memory(count: int) -> None:

@@ -3,6 +3,7 @@
 import os
 import resource
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -24,15 +25,28 @@ def available_memory() -> int:
     for line in _lines(Path("/proc/meminfo")):
         if line.startswith("MemAvailable:"):
             free = int(line.split()[1]) * 1024
-    limit, used = (
-        _lines(Path("/sys/fs/cgroup") / name) for name in ("memory.max", "memory.current")
-    )
-    if limit and used and limit[0].isdigit():
+    for limit, used, cache in _control_group():
         # The page cache counts as used there, and gives way.
-        cache = [line for line in _lines(Path("/sys/fs/cgroup/memory.stat")) if "file " in line]
-        held = int(used[0]) - (int(cache[0].split()[1]) if cache else 0)
-        free = min(free, int(limit[0]) - held)
+        free = min(free, limit - max(used - cache, 0))
     return max(free, 0)
+
+
+def _control_group() -> Iterator[tuple[int, int, int]]:
+    """Yield limit, use, and page cache of the control group of this process, if it has a limit."""
+    for line in _lines(Path("/proc/self/cgroup")):
+        _, controllers, place = line.split(":", 2)
+        if controllers == "":
+            root, names = Path("/sys/fs/cgroup"), ("memory.max", "memory.current", "file")
+        elif "memory" in controllers.split(","):
+            root = Path("/sys/fs/cgroup/memory")
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_cache")
+        else:
+            continue
+        folder = root / place.lstrip("/")
+        limit, used = (_lines(folder / name) for name in names[:2])
+        statistics = dict(each.split() for each in _lines(folder / "memory.stat"))
+        if limit and used and limit[0].isdigit():
+            yield int(limit[0]), int(used[0]), int(statistics.get(names[2], 0))
 
 
 def _lines(path: Path) -> list[str]:
