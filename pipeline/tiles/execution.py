@@ -8,12 +8,16 @@ thousand tiles holds no graph of itself.
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any, Protocol
 
 from pipeline.tiles.work import TaskReport
 
 IN_FLIGHT_PER_WORKER = 2
 """Tasks handed to the scheduler for each worker: one that runs, and one that waits."""
+
+_COUNT_EVERY = 5.0
+"""Seconds between two counts of the workers: asking the scheduler costs more than a task."""
 
 RETRIES = 2
 """Times that a task is tried again after a fault of the file system."""
@@ -98,8 +102,10 @@ class OnDask:
         waiting = iter(numbers)
         flying: dict[Any, int] = {}
         completed = as_completed(loop=self._client.loop)
-        window = IN_FLIGHT_PER_WORKER * self.workers
+        window, counted = 0, -_COUNT_EVERY
         while True:
+            if monotonic() - counted >= _COUNT_EVERY:
+                window, counted = IN_FLIGHT_PER_WORKER * self.workers, monotonic()
             while len(flying) < window and (number := next(waiting, None)) is not None:
                 future = self._client.submit(
                     _guarded, task, folder, number, pure=False, retries=RETRIES
@@ -116,7 +122,6 @@ class OnDask:
                 yield number, TaskFailure(_reason(future.exception()))
             future.release()
             del future
-            window = IN_FLIGHT_PER_WORKER * self.workers
 
 
 def _guarded(task: Task, folder: str, number: int) -> Outcome:
