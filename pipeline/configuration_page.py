@@ -22,6 +22,7 @@ back with `-c` repeats the run. This page is what `dynahull-pipeline keys` print
 
 
 _WORDS: dict[Any, str] = {
+    str: "text",
     int: "whole number",
     float: "number",
     bool: "true, false",
@@ -63,8 +64,9 @@ def _allowed(field: FieldInfo) -> str:
     kinds, bounds = [], list(field.metadata)
     for option in options:
         if get_origin(option) is Annotated:
-            option, constraint = get_args(option)  # noqa: PLW2901 (the type within)
-            bounds += constraint.metadata
+            option, *constraints = get_args(option)  # noqa: PLW2901 (the type within)
+            for constraint in constraints:
+                bounds += getattr(constraint, "metadata", [])
         kinds.append(_WORDS.get(option) or ", ".join(f"`{choice}`" for choice in get_args(option)))
     limits = [
         f"{sign} {getattr(bound, name):g}"
