@@ -3,15 +3,16 @@
     python -m benchmarks.kills [MAP] [--kills 20] [--max-points 20000] [--seed 0]
 
 Cleans a map once undisturbed. Then starts the same run elsewhere, kills the whole process group at
-random moments (`kill -9`), starts it again, and so on, and lets it end after the last kill. Prints
-how often it was killed in which stage, how many tasks were done twice, and whether all result files
-have the same bytes.
+random moments (`kill -9`), and starts it again, until it ends in spite of that; and all this again
+until it was killed often enough. Prints how often it was killed in which stage, how many tasks
+were done twice, and whether all result files have the same bytes.
 """
 
 import argparse
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -43,27 +44,33 @@ def main() -> None:
         subprocess.run([*command, "-o", str(whole)], check=True, capture_output=True)
         seconds = time.perf_counter() - begun
         stages: Counter[str] = Counter()
-        kills = redone = 0
+        kills = redone = ended = 0
+        same = True
         done: dict[str, int] = {}
-        while kills < arguments.kills:
-            stage = run_for(random.uniform(0.1, 1.0) * seconds, [*command, "-o", str(killed)])
-            if stage is None:
-                break
-            stages[stage_of(killed)] += 1
-            kills += 1
-            now = markers(killed)
-            redone += sum(1 for name, time_ns in done.items() if now.get(name) != time_ns)
-            done = now
-        subprocess.run([*command, "-o", str(killed)], check=True, capture_output=True)
-        same = all((whole / name).read_bytes() == (killed / name).read_bytes() for name in RESULTS)
-        print(f"killed {kills} times, in {dict(stages)}")
+        while kills < arguments.kills or not ended:
+            moment = random.uniform(0.15, 0.45) * seconds if kills < arguments.kills else 1e6
+            killed_it = run_for(moment, [*command, "-o", str(killed)])
+            if killed_it and not (killed / "run.json").exists():
+                stages[stage_of(killed)] += 1
+                kills += 1
+                now = markers(killed)
+                redone += sum(1 for name, time_ns in done.items() if now.get(name) != time_ns)
+                done = now
+                continue
+            ended += 1
+            same &= all(
+                (whole / name).read_bytes() == (killed / name).read_bytes() for name in RESULTS
+            )
+            shutil.rmtree(killed)
+            done = {}
+        print(f"killed {kills} times, in {dict(stages)}; {ended} runs came to their end")
         print(f"finished tasks done again: {redone}")
         print(f"results: {'the same bytes' if same else 'DIFFERENT'}")
         sys.exit(0 if same and not redone else 1)
 
 
-def run_for(seconds: float, command: list[str]) -> bool | None:
-    """Start a run, and kill it with all its processes after some time; None if it ended before."""
+def run_for(seconds: float, command: list[str]) -> bool:
+    """Start a run, and kill it with all its processes after some time; False if it ended before."""
     process = subprocess.Popen(
         command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
@@ -73,7 +80,7 @@ def run_for(seconds: float, command: list[str]) -> bool | None:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         return True
-    return None
+    return False
 
 
 def stage_of(folder: Path) -> str:

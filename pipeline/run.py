@@ -122,7 +122,7 @@ def run(
         observer.advance(collection.point_count)
         work = folder / WORK_FOLDER
         if is_one_tile(collection, configuration):
-            shutil.rmtree(work, ignore_errors=True)
+            remove_work(work)
             cleaned = clean_in_memory(collection, configuration, observer)
             write_maps(collection, cleaned.labels, names, staging, observer)
         else:
@@ -146,7 +146,7 @@ def run(
         (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
         (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     if not configuration.output.keep_work:
-        shutil.rmtree(work, ignore_errors=True)
+        remove_work(work)
     return report
 
 
@@ -233,20 +233,29 @@ def open_job(
         Told when work of another map or configuration is given up.
     """
     job = Job(work, job_key(digest, configuration), tuple(paths), configuration)
-    if (work / JOB_FILE).exists():
+    if work.exists():
         try:
             stored = json.loads((work / JOB_FILE).read_text(encoding="utf-8"))["key"]
-        except (ValueError, KeyError):
+        except (OSError, ValueError, KeyError):
             stored = None
         if fresh or stored != job.key:
             if not fresh:
                 observer.warn(
                     f"{work}: holds the work of another map or configuration; starting over"
                 )
-            shutil.rmtree(work)
+            remove_work(work)
     work.mkdir(exist_ok=True)
     job.save()
     return job
+
+
+def remove_work(work: Path) -> None:
+    """Remove a work folder; one that is half removed is never taken for work again."""
+    removed = work.with_name(work.name + "-removed")
+    shutil.rmtree(removed, ignore_errors=True)
+    if work.exists():
+        work.rename(removed)
+        shutil.rmtree(removed, ignore_errors=True)
 
 
 def job_key(digest: str, configuration: Configuration) -> str:

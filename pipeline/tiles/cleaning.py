@@ -4,6 +4,8 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from importlib import import_module
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +61,8 @@ def clean_tiles(
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
     """
+    # Fitting takes a second to import, and this process has nothing to do while tiles are cut.
+    Thread(target=import_module, args=("sklearn.cluster",), daemon=True).start()
     cut_into_chunks(job, executor, observer, check)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))

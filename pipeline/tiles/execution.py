@@ -174,6 +174,8 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
             processes=True,
             memory_limit=memory,
             dashboard_address=None,
+            # Even without a dashboard it opens a port: any that is free, for runs side by side.
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs=50,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,

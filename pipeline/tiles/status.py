@@ -79,7 +79,8 @@ def clean_folder(folder: Path) -> str:
         raise WorkError(f"{folder}: expected the output folder of a run, found no such folder")
     if folder_is_locked(folder):
         raise WorkError(f"{folder}: a run is at work in this folder")
-    left = [folder / name for name in (WORK_FOLDER, STAGING) if (folder / name).is_dir()]
+    names = (WORK_FOLDER, f"{WORK_FOLDER}-removed", STAGING)
+    left = [folder / name for name in names if (folder / name).is_dir()]
     if not left:
         raise WorkError(f"{folder}: no unfinished work of a run in this folder")
     for path in left:
