@@ -8,6 +8,7 @@ import fcntl
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -140,10 +141,15 @@ def _locked(folder: Path) -> Iterator[None]:
     """Hold the folder's lock, which the system frees however the process ends."""
     handle = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(f"{folder}: another run is writing into this folder") from None
+        # Whoever asks whether the folder is locked holds the lock for a moment.
+        for patience in (0.1, 0.1, 0.0):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(patience)
+        else:
+            raise OutputError(f"{folder}: another run is writing into this folder")
         yield
     finally:
         os.close(handle)

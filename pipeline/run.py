@@ -232,6 +232,7 @@ def open_job(
     observer : StageObserver
         Told when work of another map or configuration is given up.
     """
+    work = work.resolve()  # workers may have another current folder
     job = Job(work, job_key(digest, configuration), tuple(paths), configuration)
     if work.exists():
         try:

@@ -86,6 +86,12 @@ def cut_into_chunks(
         survey = merge(_surveys(job))
         plan = make_plan(job.collection, survey, job.configuration, executor.workers)
         check(plan)
+        overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
+        if overfull:
+            observer.warn(
+                f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
+                f"{plan.layout.cell:g} m wide, is not divided"
+            )
         _store(job, plan, survey).save()
     if job.needs_classes:
         make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)

@@ -23,6 +23,8 @@ def status_text(folder: Path) -> str:
     """
     work = folder / WORK_FOLDER
     if not work.is_dir():
+        if folder.is_dir() and folder_is_locked(folder):
+            return f"{folder}: running; the map is one tile, in memory"
         if (folder / "run.json").is_file():
             return f"{folder}: finished"
         raise WorkError(f"{folder}: expected the output folder of a run, found no work in it")
