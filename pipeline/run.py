@@ -132,6 +132,8 @@ def run(
             write_labels(cleaned, staging / LABELS_FILE)
         observer.finish()
         if _states(paths) != before:
+            # What was read before and after the change must not meet in a run that goes on.
+            remove_work(work)
             raise InputChangedError(f"{paths[0]}: the map changed while it was being cleaned")
         report = RunReport.of(
             folder,

@@ -1,0 +1,302 @@
+"""A run that was killed, or that failed, goes on: nothing is done twice, and never mixed up."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from pipeline import run as run_module
+from pipeline.configuration import load_configuration
+from pipeline.errors import InputChangedError, TasksFailedError
+from pipeline.progress import LogDisplay, StageObserver
+from pipeline.run import run
+from pipeline.tiles import stages
+from pipeline.tiles.status import status_text
+
+COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "run"]
+SETTINGS = [
+    "neighbours.k=8",
+    "clustering.count=3",
+    "ground.method=none",
+    "tiling.max_points=130",
+    "tiling.halo=0.3",
+    "execution.workers=1",
+    "output.labels=true",
+]
+WORK = ".dynahull-work"
+
+
+def write_map(folder):
+    generator = np.random.default_rng(3)
+    points = generator.uniform(size=(800, 3)) * [9, 7, 2]
+    np.save(folder / "map.npy", points)
+    return folder / "map.npy"
+
+
+@pytest.fixture
+def map_file(tmp_path):
+    return write_map(tmp_path)
+
+
+def cleaned(map_file, folder, *wanted, fresh=False):
+    configuration = load_configuration(None, [*SETTINGS, *wanted])
+    return run([map_file], folder, configuration, StageObserver(LogDisplay()), fresh=fresh)
+
+
+def results(folder):
+    names = ("static.npy", "dynamic.npy", "labels.parquet")
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+def markers(folder):
+    """When each task was marked as done; the outputs are written anew by every run."""
+    found = (folder / WORK).glob("*/*.done")
+    return {
+        str(path.relative_to(folder)): path.stat().st_mtime_ns
+        for path in found
+        if path.parent.name != "write"
+    }
+
+
+@pytest.fixture
+def done_tasks(monkeypatch):
+    """The stage and number of every task that is done from here on."""
+    seen = []
+    do_task = stages.do_task
+
+    def spy(stage, folder, number):
+        report = do_task(stage, folder, number)
+        seen.append((stage, number))
+        return report
+
+    monkeypatch.setattr(stages, "do_task", spy)
+    return seen
+
+
+class Fault:
+    """Lets one task of a stage raise, as long as it is set."""
+
+    def __init__(self, monkeypatch, stage, number, error):
+        self._task = stages.TASKS[stage]
+        self._number, self.error = number, error
+        monkeypatch.setitem(stages.TASKS, stage, self)
+
+    def __call__(self, job, number):
+        if number == self._number and self.error is not None:
+            raise self.error
+        return self._task(job, number)
+
+
+@pytest.fixture
+def interrupted(map_file, tmp_path, monkeypatch):
+    """An output folder with the work of a run of which one density failed."""
+    fault = Fault(monkeypatch, "density", 4, ValueError("no luck"))
+    with pytest.raises(TasksFailedError):
+        cleaned(map_file, tmp_path / "out")
+    fault.error = None
+    return tmp_path / "out"
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    """The results of a run that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    cleaned(write_map(folder), folder / "out")
+    return results(folder / "out")
+
+
+def test_killed_again_and_again_the_results_have_the_same_bytes(map_file, tmp_path, expected):
+    cleaned(map_file, tmp_path / "whole", "output.keep_work=true")
+    total = len(markers(tmp_path / "whole"))
+    settings = [argument for setting in SETTINGS for argument in ("--set", setting)]
+    command = [*COMMAND, str(map_file), "-o", "killed", "--keep-work", *settings]
+    moments = random.Random(11)
+    done = {}
+    for share in (0.05, 0.3, 0.5, 0.7, 0.9):
+        wanted = int(total * share) + moments.randrange(3)
+        with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) as process:
+            while len(markers(tmp_path / "killed")) < wanted:
+                assert process.poll() is None, "the run ended before it could be killed"
+                time.sleep(0.001)
+            time.sleep(moments.uniform(0, 0.01))
+            process.send_signal(signal.SIGKILL)
+        assert process.returncode == -signal.SIGKILL
+        assert not (tmp_path / "killed/run.json").exists()
+        now = markers(tmp_path / "killed")
+        assert done.items() <= now.items()
+        done = now
+    assert len(done) < total
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert done.items() <= markers(tmp_path / "killed").items()
+    assert results(tmp_path / "killed") == expected
+
+
+def test_only_what_was_not_done_is_done_when_the_run_goes_on(
+    map_file, interrupted, expected, done_tasks
+):
+    tiles = len(list((interrupted / WORK).glob("tiles/chunks/*.parquet")))
+    assert tiles > 6
+    before = markers(interrupted)
+    report = cleaned(map_file, interrupted, "output.keep_work=true")
+    labels = {("label", tile) for tile in range(tiles)}
+    assert sorted(done_tasks) == sorted([("density", 4), *labels, ("write", 0)])
+    assert before.items() <= markers(interrupted).items()
+    assert report.warnings == []
+    assert results(interrupted) == expected
+
+
+def test_how_the_work_is_spread_may_change_in_between(map_file, interrupted, expected, done_tasks):
+    report = cleaned(map_file, interrupted, "execution.cluster=none", "execution.memory=30GiB")
+    assert {number for stage, number in done_tasks if stage == "density"} == {4}
+    assert report.warnings == []
+    assert results(interrupted) == expected
+
+
+def test_what_a_killed_task_left_half_written_is_never_taken(map_file, interrupted, expected):
+    work = interrupted / WORK
+    density = work / "density/000004.npz"
+    assert not density.exists()
+    whole = (work / "density/000003.npz").read_bytes()
+    # Killed while it wrote the file; after that and before its marker; while it wrote the marker.
+    density.with_name(".000004.npz.0123456789ab.part").write_bytes(whole[: len(whole) // 2])
+    density.write_bytes(whole)
+    density.with_name(".000004.done.0123456789ab.part").write_text("{", encoding="utf-8")
+    (work / "ground/000002.done").write_text('{"key": "', encoding="utf-8")
+    (work / "ground/000001.done").write_bytes(b"")
+    cleaned(map_file, interrupted)
+    assert results(interrupted) == expected
+
+
+def test_a_marker_of_another_key_says_nothing(map_file, interrupted, expected, done_tasks):
+    marker = interrupted / WORK / "density/000002.done"
+    stored = json.loads(marker.read_text(encoding="utf-8"))
+    marker.write_text(json.dumps(stored | {"key": "0" * 64}), encoding="utf-8")
+    cleaned(map_file, interrupted)
+    assert {number for stage, number in done_tasks if stage == "density"} == {2, 4}
+    assert results(interrupted) == expected
+
+
+CHANGES = {
+    "input": [],
+    "method": ["neighbours.k=9"],
+    "removal": ["removal.max_percent=30"],
+    "tiling": ["tiling.max_points=200"],
+    "version": [],
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_changed_input_configuration_or_version_never_mixes_with_old_work(
+    change, map_file, interrupted, tmp_path, monkeypatch, done_tasks
+):
+    if change == "input":
+        content = bytearray(map_file.read_bytes())
+        content[200] ^= 1  # a bit of a coordinate
+        map_file.write_bytes(content)
+    if change == "version":
+        monkeypatch.setattr(run_module, "version", lambda name: "99.0")
+    report = cleaned(map_file, interrupted, *CHANGES[change])
+    again = list(done_tasks)
+    assert [warning for warning in report.warnings if "another map or configuration" in warning]
+    done_tasks.clear()
+    fresh = cleaned(map_file, tmp_path / "fresh", *CHANGES[change])
+    assert fresh.warnings == []
+    assert again == done_tasks
+    assert results(interrupted) == results(tmp_path / "fresh")
+
+
+def test_work_that_does_not_say_whose_it_is_is_not_taken(
+    map_file, interrupted, tmp_path, done_tasks
+):
+    (interrupted / WORK / "job.json").unlink()
+    cleaned(map_file, interrupted, "clustering.seed=5")
+    cleaned(map_file, tmp_path / "fresh", "clustering.seed=5")
+    assert done_tasks[: len(done_tasks) // 2] == done_tasks[len(done_tasks) // 2 :]
+    assert results(interrupted) == results(tmp_path / "fresh")
+
+
+def test_what_was_read_of_a_map_that_changed_meanwhile_is_not_kept(
+    map_file, tmp_path, monkeypatch, expected
+):
+    content = map_file.read_bytes()
+    true_hash = run_module.content_hash
+
+    def meddling(paths):
+        digest = true_hash(paths)
+        np.save(map_file, np.load(map_file)[::-1] * [1, 1, 0.5])
+        return digest
+
+    monkeypatch.setattr(run_module, "content_hash", meddling)
+    with pytest.raises(InputChangedError):
+        cleaned(map_file, tmp_path / "out")
+    monkeypatch.setattr(run_module, "content_hash", true_hash)
+    map_file.write_bytes(content)
+    cleaned(map_file, tmp_path / "out")
+    assert results(tmp_path / "out") == expected
+
+
+def test_fresh_starts_over_without_a_warning(map_file, interrupted, expected, done_tasks):
+    before = markers(interrupted)
+    report = cleaned(map_file, interrupted, "output.keep_work=true", fresh=True)
+    assert report.warnings == []
+    assert set(before) <= {f"{WORK}/{stage}/{number:06d}.done" for stage, number in done_tasks}
+    assert not before.items() & markers(interrupted).items()
+    assert results(interrupted) == expected
+
+
+def test_the_work_folder_is_gone_after_success_unless_it_is_to_be_kept(map_file, tmp_path):
+    names = {"static.npy", "dynamic.npy", "labels.parquet", "config.yaml", "run.json"}
+    cleaned(map_file, tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    cleaned(map_file, tmp_path / "out", "output.keep_work=true")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names | {WORK}
+    assert not list((tmp_path / "out").rglob("*.part"))
+
+
+def test_kept_work_serves_the_next_run(map_file, tmp_path, expected, done_tasks):
+    cleaned(map_file, tmp_path / "out", "output.keep_work=true")
+    done_tasks.clear()
+    cleaned(map_file, tmp_path / "out")
+    assert [stage for stage, _ in done_tasks] == ["write"]
+    assert results(tmp_path / "out") == expected
+
+
+@pytest.mark.parametrize(
+    ("stage", "error"),
+    [
+        *((stage, ValueError("no luck")) for stage in ("survey", "cut", "chunk", "ground")),
+        *((stage, OSError(28, "No space left")) for stage in ("density", "label", "write")),
+    ],
+)
+def test_a_failed_task_is_named_and_the_same_command_goes_on(
+    stage, error, map_file, tmp_path, monkeypatch, expected, done_tasks
+):
+    number = 0 if stage in ("survey", "cut", "write") else 3
+    fault = Fault(monkeypatch, stage, number, error)
+    with pytest.raises(TasksFailedError) as raised:
+        cleaned(map_file, tmp_path / "out")
+    reason = "no luck" if isinstance(error, ValueError) else "No space left"
+    message = str(raised.value)
+    assert f"the stage {stage} failed ({number}: " in message
+    assert reason in message
+    assert "\n" not in message
+    told = status_text(tmp_path / "out")
+    assert f"task {number} failed: " in told
+    assert reason in told
+    assert not (tmp_path / "out/run.json").exists()
+    assert not (tmp_path / "out/static.npy").exists()
+    if stage in ("chunk", "ground", "density", "label"):  # the others are done all the same
+        tiles = len(list((tmp_path / "out" / WORK).glob("chunk/*.done")))
+        tiles += stage == "chunk"
+        assert {each for name, each in done_tasks if name == stage} == {*range(tiles)} - {3}
+    fault.error = None
+    done_tasks.clear()
+    cleaned(map_file, tmp_path / "out")
+    if stage != "write":
+        assert [each for name, each in done_tasks if name == stage] == [number]
+    assert results(tmp_path / "out") == expected
