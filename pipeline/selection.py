@@ -2,7 +2,8 @@
 
 A positive float64 orders like its bits, so the density of a given rank is found digit by digit:
 one histogram of the leading 16 bits of all densities, then one of the next 16 among those that
-agree so far, four passes in all. What is held at a time is one tile and one histogram a cluster.
+agree so far, until those left are few enough to be sorted. What is held at a time is one tile, one
+histogram a cluster, and those few.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -19,6 +20,9 @@ from dynahull.rescale import removal_count
 _DIGIT = 16
 _DIGITS = range(64 - _DIGIT, -1, -_DIGIT)
 _VALUES = 1 << _DIGIT
+
+_GATHERED = 2_000_000
+"""Keys that agree so far and are few enough to be held, and sorted, all at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,23 +164,50 @@ def _order_statistics(
         wanted = {(cluster, prefix) for (cluster, _), prefix in zip(ranks, prefixes, strict=True)}
         histograms = {place: np.zeros(_VALUES, np.int64) for place in wanted}
         for clusters, keys in tiles():
-            for (cluster, prefix), histogram in histograms.items():
-                chosen = keys[clusters == cluster]
-                if shift + _DIGIT < 64:
-                    chosen = chosen[chosen >> np.uint64(shift + _DIGIT) == np.uint64(prefix)]
+            for place, histogram in histograms.items():
+                chosen = _agreeing(clusters, keys, place, shift + _DIGIT)
                 digits = (chosen >> np.uint64(shift)) & np.uint64(_VALUES - 1)
-                np.add(
-                    histogram,
-                    np.bincount(digits.astype(np.int64), minlength=_VALUES),
-                    out=histogram,
-                )
+                found = np.bincount(digits.astype(np.int64), minlength=_VALUES)
+                np.add(histogram, found, out=histogram)
+        left: dict[tuple[int, int], int] = {}
         for slot, (cluster, _) in enumerate(ranks):
-            totals = np.cumsum(histograms[cluster, prefixes[slot]])
+            histogram = histograms[cluster, prefixes[slot]]
+            totals = np.cumsum(histogram)
             digit = int(np.searchsorted(totals, missing[slot], side="right"))
             missing[slot] -= int(totals[digit - 1]) if digit else 0
             prefixes[slot] = prefixes[slot] << _DIGIT | digit
+            left[cluster, prefixes[slot]] = int(histogram[digit])
+        if shift and sum(left.values()) <= _GATHERED:
+            gathered = _gather(tiles, left, shift)
+            for slot, (cluster, _) in enumerate(ranks):
+                keys = gathered[cluster, prefixes[slot]]
+                prefixes[slot] = int(keys[missing[slot]])
+                missing[slot] -= int(np.searchsorted(keys, keys[missing[slot]]))
+            break
     below = [rank - left for (_, rank), left in zip(ranks, missing, strict=True)]
     return prefixes, below
+
+
+def _agreeing(
+    clusters: NDArray[np.int32], keys: NDArray[np.uint64], place: tuple[int, int], shift: int
+) -> NDArray[np.uint64]:
+    """Return the keys of a cluster that begin with a prefix, which ends at a bit."""
+    cluster, prefix = place
+    chosen = keys[clusters == cluster]
+    if shift < 64:
+        chosen = chosen[chosen >> np.uint64(shift) == np.uint64(prefix)]
+    return np.asarray(chosen)
+
+
+def _gather(
+    tiles: Callable[[], Iterable[Keys]], places: Iterable[tuple[int, int]], shift: int
+) -> dict[tuple[int, int], NDArray[np.uint64]]:
+    """Return, sorted, the keys of each cluster that begin with a prefix: they are few."""
+    parts: dict[tuple[int, int], list[NDArray[np.uint64]]] = {place: [] for place in places}
+    for clusters, keys in tiles():
+        for place, found in parts.items():
+            found.append(_agreeing(clusters, keys, place, shift))
+    return {place: np.sort(np.concatenate(found)) for place, found in parts.items()}
 
 
 def _density_bits(tile: ScoredPoints) -> Keys:

@@ -1,6 +1,7 @@
 """The cuts found over tiles are those of the whole array, to the last bit and row."""
 
 from fractions import Fraction
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.removal import remove_least_dense
+from pipeline import selection
 from pipeline.selection import ScoredPoints, find_cuts
 
 
@@ -26,9 +28,10 @@ def tiles_of(cluster, density, rows, pieces, seed):
     st.integers(1, 12),
     st.sampled_from(["scattered", "tied", "wide"]),
     st.sampled_from(["rank", "stepped"]),
+    st.sampled_from([0, 5, 2_000_000]),
 )
 def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
-    seed, size, count, pieces, kind, threshold
+    seed, size, count, pieces, kind, threshold, gathered
 ):
     random = np.random.default_rng(seed)
     density = {
@@ -43,7 +46,9 @@ def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
     counts = np.bincount(cluster, minlength=count)
     percentages = [Fraction(int(share), 10) for share in random.integers(0, 1001, count)]
 
-    cuts = find_cuts(tiles_of(cluster, density, rows, pieces, seed), counts, percentages, threshold)
+    tiles = tiles_of(cluster, density, rows, pieces, seed)
+    with mock.patch.object(selection, "_GATHERED", gathered):
+        cuts = find_cuts(tiles, counts, percentages, threshold)
 
     for index, cut in enumerate(cuts):
         members = cluster == index
