@@ -1,0 +1,56 @@
+"""What tiles cost: the same map as one tile and as many, with one worker and with two.
+
+    python -m benchmarks.tiled_run [MAP] [--rounds 3] [--max-points 1000000]
+
+Runs the whole command in turn, in processes of their own: the map as one tile with two threads, in
+tiles with two workers, and in tiles with one worker. Prints medians of the wall times and their
+ratios. Asked: tiles at most 1.15 times one tile, and two workers at least 1.8 times one.
+"""
+
+import argparse
+import subprocess
+import tempfile
+import time
+from datetime import date
+from pathlib import Path
+from statistics import median
+
+from benchmarks.density import machine
+from benchmarks.whole_run import COMMAND, ONE_TILE
+
+
+def main() -> None:
+    """Run in turn, and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    default = Path("../shared/data/maps/campus_loop.laz")
+    parser.add_argument("map", nargs="?", type=Path, default=default)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--max-points", type=int, default=1_000_000)
+    arguments = parser.parse_args()
+    print(f"{date.today()}, {machine()}")
+    tiles = ["--set", f"tiling.max_points={arguments.max_points}"]
+    kinds = {
+        "one tile, two threads": [*ONE_TILE, "--set", "execution.workers=2"],
+        "tiles, two workers": [*tiles, "--set", "execution.workers=2"],
+        "tiles, one worker": [*tiles, "--set", "execution.workers=1"],
+    }
+    times: dict[str, list[float]] = {kind: [] for kind in kinds}
+    for _ in range(arguments.rounds):
+        for kind, settings in kinds.items():
+            times[kind].append(seconds(arguments.map, settings))
+            print(f"  {kind:<22} {times[kind][-1]:6.1f} s", flush=True)
+    whole, two, one = (median(values) for values in times.values())
+    print(f"tiles: {two / whole:.2f}x one tile; two workers: {one / two:.2f}x one")
+
+
+def seconds(path: Path, settings: list[str]) -> float:
+    """Return the wall time of a run."""
+    with tempfile.TemporaryDirectory() as folder:
+        begun = time.perf_counter()
+        command = [*COMMAND, str(path), *settings, "-o", folder]
+        subprocess.run(command, check=True, capture_output=True)
+        return time.perf_counter() - begun
+
+
+if __name__ == "__main__":
+    main()
