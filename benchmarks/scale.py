@@ -62,7 +62,7 @@ def measured(command: list[str], log: Path) -> tuple[float, int]:
 
 
 def processor_seconds() -> float:
-    """Return the processor time of all processes that have ended, which other work hardly changes."""
+    """Return the processor time of all ended processes, which other work hardly changes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

@@ -41,7 +41,7 @@ from pipeline.tiles.execution import Executor, InProcess, local_workers, running
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.stages import do_stage
-from pipeline.tiles.work import WORK_FOLDER
+from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.tiles.writing import BATCH, check_written, finish_parts, plan_parts, write_stream
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 
@@ -250,15 +250,6 @@ def open_job(
     work.mkdir(exist_ok=True)
     job.save()
     return job
-
-
-def remove_work(work: Path) -> None:
-    """Remove a work folder; one that is half removed is never taken for work again."""
-    removed = work.with_name(work.name + "-removed")
-    shutil.rmtree(removed, ignore_errors=True)
-    if work.exists():
-        work.rename(removed)
-        shutil.rmtree(removed, ignore_errors=True)
 
 
 def job_key(digest: str, configuration: Configuration) -> str:

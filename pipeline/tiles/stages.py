@@ -85,7 +85,7 @@ def do_stage(
         yield number, earlier
     state.begin()
     failures: dict[int, str] = {}
-    for number, outcome in executor.run(partial(do_task, stage), str(job.root), waiting):
+    for number, outcome in executor.run(partial(do_task, stage), str(job.root.resolve()), waiting):
         if isinstance(outcome, TaskFailure):
             failures[number] = outcome.reason
             state.fail(number, outcome.reason)

@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.errors import WorkError
 from pipeline.outputs import STAGING, folder_is_locked
 from pipeline.plan import in_time
-from pipeline.tiles.work import WORK_FOLDER, stages_begun
+from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work, stages_begun
 
 
 def status_text(folder: Path) -> str:
@@ -81,12 +81,12 @@ def clean_folder(folder: Path) -> str:
         raise WorkError(f"{folder}: expected the output folder of a run, found no such folder")
     if folder_is_locked(folder):
         raise WorkError(f"{folder}: a run is at work in this folder")
-    names = (WORK_FOLDER, f"{WORK_FOLDER}-removed", STAGING)
+    names = (WORK_FOLDER, REMOVED_FOLDER, STAGING)
     left = [folder / name for name in names if (folder / name).is_dir()]
     if not left:
         raise WorkError(f"{folder}: no unfinished work of a run in this folder")
-    for path in left:
-        shutil.rmtree(path)
+    remove_work(folder / WORK_FOLDER)
+    shutil.rmtree(folder / STAGING, ignore_errors=True)
     if not os.listdir(folder):  # noqa: PTH208 (whether there is any)
         folder.rmdir()
     return f"removed: {', '.join(str(path) for path in left)}"

@@ -6,6 +6,7 @@ taken for this one's. So a run killed at any moment goes on with the tasks that 
 """
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +19,9 @@ from tiling.atomic import atomic_file
 
 WORK_FOLDER = ".dynahull-work"
 """Within the output folder."""
+
+REMOVED_FOLDER = f"{WORK_FOLDER}-removed"
+"""Its name while it is being removed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +102,15 @@ class WorkFolder:
         """Write a file that appears whole or not at all."""
         with atomic_file(path) as temporary:
             temporary.write_text(json.dumps(value), encoding="utf-8")
+
+
+def remove_work(work: Path) -> None:
+    """Remove a work folder; one that is half removed is never taken for work again."""
+    removed = work.with_name(REMOVED_FOLDER)
+    shutil.rmtree(removed, ignore_errors=True)
+    if work.exists():
+        work.rename(removed)
+        shutil.rmtree(removed, ignore_errors=True)
 
 
 def stages_begun(root: Path) -> Iterator[tuple[str, int, int]]:
