@@ -93,7 +93,7 @@ def output_folder(
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
+        with locked_folder(folder):
             staging = folder / STAGING
             shutil.rmtree(staging, ignore_errors=True)
             staging.mkdir()
@@ -137,8 +137,14 @@ def folder_is_locked(folder: Path) -> bool:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock, which the system frees however the process ends."""
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock, which the system frees however the process ends.
+
+    Raises
+    ------
+    OutputError
+        When another run holds it.
+    """
     handle = os.open(folder, os.O_RDONLY)
     try:
         # Whoever asks whether the folder is locked holds the lock for a moment.

@@ -144,12 +144,13 @@ def make_plan(
         When a lattice column alone holds more points than a worker has memory for.
     """
     layout = quadtree(survey.occupancy, configuration.tiling.max_points)
+    # A ground step that looks at the map as a whole does not look at tiles at all.
+    radius = 0.0 if ground_radius(configuration.ground) is None else decision_radius(configuration)
     halo = configuration.tiling.halo
     if halo == "auto":
-        k = configuration.neighbours.k
-        halo = decision_radius(configuration) + neighbour_reach(survey.occupancy, k)
+        halo = radius + neighbour_reach(survey.occupancy, configuration.neighbours.k)
     held = points_held(layout, survey.occupancy, halo)
-    around = max(halo, decision_radius(configuration))
+    around = max(halo, radius)
     gathered = held if around == halo else points_held(layout, survey.occupancy, around)
     core, all_held = int(layout.counts.sum()), int(held.sum())
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT

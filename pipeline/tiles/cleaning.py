@@ -15,6 +15,7 @@ from dynahull.clustering import fit_clusters, sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, ClusterSummary
+from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
@@ -24,9 +25,10 @@ from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.rows import make_rows
 from pipeline.tiles.scoring import first_cluster, save_cuts, scored_points
 from pipeline.tiles.stages import do_stage
-from pipeline.tiles.work import TaskReport
+from pipeline.tiles.work import TaskReport, remove_work
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkStore
+from tiling.errors import GridError
 from tiling.grid import grid_of
 from tiling.survey import Survey, merge
 
@@ -83,22 +85,33 @@ def cut_into_chunks(
     rows = [len(part) for part in job.row_ranges]
     exhaust(do_stage(job, executor, observer, "survey", rows))
     if not (job.root / CHUNKS_FOLDER / "store.json").exists():
-        survey = merge(_surveys(job))
-        plan = make_plan(job.collection, survey, job.configuration, executor.workers)
-        check(plan)
-        overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
-        if overfull:
-            observer.warn(
-                f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
-                f"{plan.layout.cell:g} m wide, is not divided"
-            )
-        _store(job, plan, survey).save()
+        try:
+            _plan_tiles(job, executor, observer, check)
+        except (PlanError, GridError):
+            # Refused: there is nothing to go on with.
+            remove_work(job.root)
+            raise
     if job.needs_classes:
         make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
     exhaust(do_stage(job, executor, observer, "cut", rows))
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
+
+
+def _plan_tiles(
+    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
+) -> None:
+    survey = merge(_surveys(job))
+    plan = make_plan(job.collection, survey, job.configuration, executor.workers)
+    check(plan)
+    overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
+    if overfull:
+        observer.warn(
+            f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
+            f"{plan.layout.cell:g} m wide, is not divided"
+        )
+    _store(job, plan, survey).save()
 
 
 def find_clusters(job: Job, observer: StageObserver) -> None:

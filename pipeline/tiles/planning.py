@@ -1,18 +1,18 @@
 """A map planned, or cut into chunks, without being cleaned."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.configuration import Configuration
 from pipeline.errors import OutputError
 from pipeline.machine import available_cores
+from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, is_one_tile, make_plan
 from pipeline.progress import StageObserver
 from pipeline.run import open_job, workers_for
 from pipeline.tiles.cleaning import cut_into_chunks
 from pipeline.tiles.job import CHUNKS_FOLDER
-from pipeline.tiles.work import WORK_FOLDER
+from pipeline.tiles.work import WORK_FOLDER, remove_work
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 from tiling.survey import survey
 
@@ -32,13 +32,18 @@ def plan_map(
     observer.stage("survey", collection.point_count)
     surveyed = survey(collection)
     observer.finish()
+    one_tile = is_one_tile(collection, configuration)
+    if one_tile:
+        tiling = {"max_points": max(collection.point_count, 1)}
+        whole = configuration.tiling.model_copy(update=tiling)
+        configuration = configuration.model_copy(update={"tiling": whole})
     plan = make_plan(collection, surveyed, configuration, workers)
     if picture is not None:
         from pipeline.plan_picture import draw_plan  # noqa: PLC0415 (an optional package)
 
         draw_plan(plan, surveyed, picture)
     text = plan.to_text()
-    if is_one_tile(collection, configuration):
+    if one_tile:
         text += "\none tile: cleaned in memory, without temporary files"
     else:
         check_plan(plan, configuration, Path())
@@ -60,14 +65,19 @@ def tile_map(
     paths = find_map_files(maps)
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
-    job = open_job(work, paths, content_hash(paths), configuration, False, observer)
-    with workers_for(configuration) as executor:
-        cut_into_chunks(
-            job, executor, observer, lambda plan: check_plan(plan, configuration, output)
-        )
-    observer.finish()
-    tiles = len(job.store.layout)
-    for name in ("chunks", "store.json"):
-        (work / CHUNKS_FOLDER / name).rename(output / name)
-    shutil.rmtree(work)
+    try:
+        with locked_folder(output):
+            job = open_job(work, paths, content_hash(paths), configuration, False, observer)
+            with workers_for(configuration) as executor:
+                cut_into_chunks(
+                    job, executor, observer, lambda plan: check_plan(plan, configuration, output)
+                )
+            observer.finish()
+            tiles = len(job.store.layout)
+            for name in ("chunks", "store.json"):
+                (work / CHUNKS_FOLDER / name).rename(output / name)
+            remove_work(work)
+    finally:
+        if not any(output.iterdir()):
+            output.rmdir()
     return tiles

@@ -1,0 +1,351 @@
+"""The commands about tiles: plan, tile, status, clean."""
+
+import json
+import logging
+import os
+import re
+import shutil
+import sys
+from collections import namedtuple
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline import cli
+from pipeline.configuration import load_configuration
+from pipeline.outputs import output_folder
+from pipeline.progress import LogDisplay, StageObserver
+from pipeline.run import run
+from pipeline.tiles import stages
+
+SMALL = [
+    "ground.method=none",
+    "neighbours.k=8",
+    "clustering.count=2",
+    "tiling.max_points=100",
+    "tiling.halo=0.5",
+    "execution.workers=1",
+]
+WORK = ".dynahull-work"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _nothing_waits_for_the_disk():
+    """A process that ends leaves its page cache behind; only a power cut, not tested here, not."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
+
+
+@pytest.fixture
+def map_file(tmp_path):
+    points = np.random.default_rng(1).uniform(size=(1001, 3)) * [9, 7, 2]
+    points[500] = np.nan
+    np.save(tmp_path / "map.npy", points)
+    return tmp_path / "map.npy"
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Run the command line as a process would: exit code, standard output, error lines."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
+    monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
+
+    def called(*arguments, wanted=SMALL):
+        needs_settings = arguments[0] in ("run", "plan", "tile")
+        settings = [each for setting in wanted for each in ("--set", setting)]
+        monkeypatch.setattr(
+            sys, "argv", ["dynahull-pipeline", *map(str, arguments), *settings * needs_settings]
+        )
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        errors = [line for line in said.err.splitlines() if line.startswith("error: ")]
+        return ended.value.code or 0, said.out, errors
+
+    return called
+
+
+def cleaned(map_file, folder, *wanted):
+    configuration = load_configuration(None, [*SMALL, *wanted])
+    return run([map_file], folder, configuration, StageObserver(LogDisplay()))
+
+
+def figures(text):
+    """The lines of a plan as a dictionary."""
+    pairs = [line.split(":", 1) for line in text.splitlines() if ":" in line]
+    return {name: value.strip() for name, value in pairs}
+
+
+class TestPlan:
+    def test_its_figures_are_those_of_the_run(self, map_file, tmp_path, call):
+        code, text, _ = call("plan", map_file)
+        assert code == 0
+        told = figures(text)
+        cleaned(map_file, tmp_path / "out", "output.keep_work=true")
+        store = json.loads((tmp_path / "out" / WORK / "tiles/store.json").read_text("utf-8"))
+        counts = json.loads(store["layout"])["counts"]
+        assert told["points"] == "1,001"
+        assert sum(counts) == 1000
+        expected = f"{len(counts)} ({min(counts)} to {max(counts)} points, median "
+        assert told["tiles"].startswith(expected)
+        assert re.search(r"median (\d+)", told["tiles"])[1] == str(int(np.median(counts)))
+        chunks = (tmp_path / "out" / WORK / "tiles/chunks").iterdir()
+        held = sum(pq.read_metadata(path).num_rows for path in chunks)
+        halo, share = re.fullmatch(r"(\S+) m, (\d+) % more points to read", told["halo"]).groups()
+        assert float(halo) == store["halo"] == 0.5
+        # Columns of a quarter metre count whole or not at all.
+        assert int(share) == pytest.approx(100 * (held / 1000 - 1), rel=0.2)
+        assert held > 1300
+        assert told["workers"] == "1"
+
+    def test_it_writes_nothing(self, map_file, tmp_path, call):
+        before = sorted(tmp_path.iterdir())
+        assert call("plan", map_file)[0] == 0
+        assert sorted(tmp_path.iterdir()) == before
+
+    def test_a_small_map_is_one_tile(self, map_file, call):
+        code, text, _ = call("plan", map_file, wanted=["tiling.max_points=1001"])
+        assert code == 0
+        assert "one tile: cleaned in memory" in text
+        assert figures(text)["tiles"].startswith("1 (")
+
+    def test_a_ground_method_that_needs_the_whole_map_makes_one_tile(self, map_file, call):
+        code, text, _ = call("plan", map_file, wanted=[*SMALL, "ground.method=csf"])
+        assert code == 0
+        assert "one tile: cleaned in memory" in text
+        assert figures(text)["tiles"].startswith("1 (")
+
+    def test_a_map_without_finite_points_has_a_plan(self, tmp_path, call):
+        np.save(tmp_path / "nothing.npy", np.full((500, 3), np.nan))
+        code, text, _ = call("plan", "nothing.npy")
+        assert code == 0
+        assert figures(text)["tiles"] == "0 (no points)"
+
+    @pytest.mark.parametrize("command", ["plan", "run", "tile"])
+    def test_too_little_memory_is_refused_before_any_work(self, command, map_file, tmp_path, call):
+        before = sorted(tmp_path.iterdir())
+        output = [] if command == "plan" else ["-o", "out"]
+        code, _, errors = call(command, map_file, *output, wanted=[*SMALL, "execution.memory=1MiB"])
+        assert code == 1
+        assert len(errors) == 1
+        assert re.search(
+            r"a worker would take .* MiB .*\d+ points with its halo\) and has 1.0 MiB: choose "
+            "a smaller tiling.max_points",
+            errors[0],
+        )
+        assert sorted(tmp_path.iterdir()) == before
+
+    @pytest.mark.parametrize("command", ["plan", "run", "tile"])
+    def test_too_small_a_disk_is_refused_before_any_work(
+        self, command, map_file, tmp_path, call, monkeypatch
+    ):
+        usage = namedtuple("usage", "total used free")
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10**9, 10**9 - 2000, 2000))
+        before = sorted(tmp_path.iterdir())
+        code, _, errors = call(command, map_file, *([] if command == "plan" else ["-o", "out"]))
+        assert code == 1
+        assert len(errors) == 1
+        assert re.search(r"temporary files .* of results, and 2.0 KiB are free", errors[0])
+        assert sorted(tmp_path.iterdir()) == before
+
+    def test_the_picture_is_a_png_of_the_map(self, map_file, tmp_path, call):
+        pytest.importorskip("matplotlib")
+        code, text, _ = call("plan", map_file, "--picture", "plan.png")
+        assert code == 0
+        assert "plan.png" in text
+        picture = (tmp_path / "plan.png").read_bytes()
+        assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+        assert picture.endswith(b"IEND\xaeB`\x82")
+
+
+class TestTile:
+    def check_cores(self, xyz, rows, core, points):
+        """All chunks together hold each finite point once in a core, and halos besides."""
+        xyz, rows, core = (np.concatenate(each) for each in (xyz, rows, core))
+        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+        np.testing.assert_array_equal(np.sort(rows[core]), finite)
+        np.testing.assert_array_equal(xyz, points[rows])
+        assert not core.all()
+
+    def test_chunks_hold_every_point_once(self, map_file, tmp_path, call):
+        code, text, _ = call("tile", map_file, "-o", "chunks of it")
+        assert code == 0
+        folder = tmp_path / "chunks of it"
+        assert {path.name for path in folder.iterdir()} == {"chunks", "store.json"}
+        paths = sorted((folder / "chunks").iterdir())
+        assert f"{len(paths)} tiles in chunks of it/chunks" in text
+        assert len(paths) > 8
+        tables = [pq.read_table(path) for path in paths]
+        assert tables[0].column_names == ["x", "y", "z", "row", "core"]
+        xyz = [np.column_stack([table[axis].to_numpy() for axis in "xyz"]) for table in tables]
+        rows, core = ([table[name].to_numpy() for table in tables] for name in ("row", "core"))
+        self.check_cores(xyz, rows, core, np.load(map_file))
+        for number, table in enumerate(tables):
+            place = json.loads(table.schema.metadata[b"tile"])
+            assert (place["tile"], place["halo"]) == (number, 0.5)
+            low, high = np.array(place["low"]), np.array(place["high"])
+            flat = xyz[number][:, :2]
+            inside = ((flat >= low) & (flat < high)).all(axis=1)
+            np.testing.assert_array_equal(inside, core[number])
+            around = (np.load(map_file)[:, :2] >= low - 0.5) & (
+                np.load(map_file)[:, :2] < high + 0.5
+            )
+            np.testing.assert_array_equal(rows[number], np.flatnonzero(around.all(axis=1)))
+
+    @pytest.mark.parametrize("chunk_format", ["las", "laz"])
+    def test_las_chunks_are_read_by_other_tools(self, chunk_format, tmp_path, call):
+        points = np.random.default_rng(2).integers(0, [900, 700, 200], (700, 3)) * 0.01
+        np.save(tmp_path / "grid.npy", points)
+        wanted = [*SMALL, f"tiling.format={chunk_format}"]
+        assert call("tile", "grid.npy", "-o", "out", wanted=wanted)[0] == 0
+        paths = sorted((tmp_path / "out/chunks").glob(f"*.{chunk_format}"))
+        assert len(paths) > 5
+        chunks = [laspy.read(path) for path in paths]
+        self.check_cores(
+            [np.asarray(chunk.xyz) for chunk in chunks],
+            [np.asarray(chunk.row).astype(np.int64) for chunk in chunks],
+            [np.asarray(chunk.core).astype(bool) for chunk in chunks],
+            points,
+        )
+
+    def test_las_is_refused_with_the_reason_where_no_grid_fits(self, map_file, tmp_path, call):
+        code, _, errors = call("tile", map_file, "-o", "out", wanted=[*SMALL, "tiling.format=las"])
+        assert code == 3
+        assert len(errors) == 1
+        assert re.search(r"map\.npy: expected coordinates .*integer \* scale.*Parquet", errors[0])
+        assert not list((tmp_path / "out").rglob("*.las"))
+
+    def test_a_folder_with_something_in_it_is_refused(self, map_file, tmp_path, call):
+        (tmp_path / "full").mkdir()
+        (tmp_path / "full/notes.txt").write_text("mine", encoding="utf-8")
+        code, _, errors = call("tile", map_file, "-o", "full")
+        assert code == 1
+        assert "full: expected an empty folder" in errors[0]
+        assert [path.name for path in (tmp_path / "full").iterdir()] == ["notes.txt"]
+
+    def test_a_ground_method_that_needs_the_whole_map_does_not_widen_the_halo(
+        self, map_file, tmp_path, call
+    ):
+        wanted = [each for each in SMALL if "halo" not in each] + ["ground.method=csf"]
+        code, _, errors = call("tile", map_file, "-o", "out", wanted=wanted)
+        assert (code, errors) == (0, [])
+        store = json.loads((tmp_path / "out/store.json").read_text("utf-8"))
+        assert np.isfinite(store["halo"])
+
+    def test_the_same_command_goes_on_where_it_failed(self, map_file, tmp_path, call, monkeypatch):
+        assemble = stages.TASKS["chunk"]
+        done = []
+
+        def faulty(job, tile):
+            if tile == 3 and not done:
+                raise OSError(28, "No space left on device")
+            return assemble(job, tile)
+
+        def counting(job, tile):
+            done.append(tile)
+            return assemble(job, tile)
+
+        monkeypatch.setitem(stages.TASKS, "chunk", faulty)
+        code, _, errors = call("tile", map_file, "-o", "out")
+        assert code == 1
+        assert "No space left" in errors[0]
+        assert [path.name for path in (tmp_path / "out").iterdir()] == [WORK]
+        monkeypatch.setitem(stages.TASKS, "chunk", counting)
+        assert call("tile", map_file, "-o", "out")[0] == 0
+        assert done == [3]
+
+
+class TestStatusAndClean:
+    @pytest.fixture
+    def failed(self, map_file, tmp_path, monkeypatch, call):
+        """A folder that holds the work of a run of which a tile failed."""
+        score = stages.TASKS["density"]
+
+        def faulty(job, tile):
+            if tile == 2:
+                raise ValueError("a tile of bad luck")
+            return score(job, tile)
+
+        with monkeypatch.context() as patch:
+            patch.setitem(stages.TASKS, "density", faulty)
+            code, _, errors = call("run", map_file, "-o", "out")
+        assert code == 1
+        assert "failed (2: a tile of bad luck)" in errors[0]
+        return tmp_path / "out"
+
+    def test_status_of_a_failed_run_names_the_task_and_the_reason(self, failed, call):
+        code, text, _ = call("status", failed)
+        assert code == 0
+        tiles = len(list((failed / WORK / "tiles/chunks").iterdir()))
+        assert f"{failed}: not running" in text
+        assert re.search(rf"^chunk +{tiles} tasks done$", text, re.MULTILINE)
+        assert re.search(rf"^ground +{tiles} tasks done$", text, re.MULTILINE)
+        assert re.search(
+            rf"^density +{tiles - 1} of {tiles} tasks done, 1 failed, 0 waiting", text, re.MULTILINE
+        )
+        assert "task 2 failed: a tile of bad luck" in text
+
+    def test_status_of_a_run_at_work_tells_stage_tasks_and_rate(
+        self, map_file, tmp_path, call, monkeypatch
+    ):
+        told = []
+        score = stages.TASKS["density"]
+        monkeypatch.setattr(stages, "_STATE_EVERY", 0.0)
+
+        def watched(job, tile):
+            told.append(call("status", tmp_path / "out")[1])
+            return score(job, tile)
+
+        monkeypatch.setitem(stages.TASKS, "density", watched)
+        cleaned(map_file, tmp_path / "out")
+        tiles = len(told)
+        assert tiles > 8
+        for done, text in enumerate(told):
+            assert f"{tmp_path / 'out'}: running" in text
+            assert f"{done} of {tiles} tasks done, 0 failed, {tiles - done} waiting" in text
+        assert re.search(r"[\d,]+ points/s, \d+ s left in this stage", told[-1])
+        assert call("status", tmp_path / "out")[1] == f"{tmp_path / 'out'}: finished\n"
+
+    def test_status_of_no_run_is_an_error(self, tmp_path, call):
+        for place in ("nowhere", "."):
+            code, _, errors = call("status", place)
+            assert code == 1
+            assert "expected the output folder of a run" in errors[0]
+
+    def test_clean_removes_the_work_and_keeps_results(self, map_file, failed, tmp_path, call):
+        code, text, _ = call("clean", failed)
+        assert code == 0
+        assert WORK in text
+        assert not failed.exists()  # there was nothing but the work
+
+        cleaned(map_file, failed, "output.keep_work=true")
+        before = {path.name for path in failed.iterdir()}
+        assert call("clean", failed)[0] == 0
+        assert {path.name for path in failed.iterdir()} == before - {WORK}
+        assert call("clean", failed) == (
+            1, "", [f"error: {failed}: no unfinished work of a run in this folder"]
+        )  # fmt: skip
+
+    def test_clean_refuses_while_a_run_is_at_work(self, failed, tmp_path, call):
+        with output_folder(failed, []):
+            code, _, errors = call("clean", failed)
+            assert code == 1
+            assert "a run is at work" in errors[0]
+            assert (failed / WORK).is_dir()
+        assert call("clean", "nowhere")[0] == 1
+
+    def test_clean_refuses_while_tiles_are_cut(self, map_file, tmp_path, call, monkeypatch):
+        told = []
+        assemble = stages.TASKS["chunk"]
+
+        def watched(job, tile):
+            told.append(call("clean", tmp_path / "out"))
+            return assemble(job, tile)
+
+        monkeypatch.setitem(stages.TASKS, "chunk", watched)
+        assert call("tile", map_file, "-o", "out")[0] == 0
+        assert {code for code, _, _ in told} == {1}
