@@ -1,0 +1,102 @@
+"""All methods on one scene after the other; peers that need scans are first shown to work."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.compare.data.crossing import crossing_scene
+from benchmarks.compare.isolated import Limits, Outcome, run_isolated
+from benchmarks.compare.measure import measure
+from benchmarks.compare.method import Family, Method
+from benchmarks.compare.results import Result
+from benchmarks.compare.scene import Scene
+from pipeline.errors import EvaluationError
+from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.options import EvaluationOptions
+
+__all__ = ["Comparison"]
+
+LEAST_FOUND, MOST_LOST = 0.7, 0.25
+"""Of a thing that crosses an empty hall, and of the hall: see `data.crossing`. The foot of the thing
+is as near to the floor as a voxel, and OctoMap is known to wear floors away."""
+
+
+class Comparison:
+    """Runs methods on scenes.
+
+    Parameters
+    ----------
+    methods : sequence of Method
+    limits : Limits
+        For each run of a method.
+    options : EvaluationOptions
+    folder : str or Path
+        For files in between.
+    crossing : Scene, optional
+        Where peers that need scans and poses are shown to work.
+    """
+
+    def __init__(
+        self,
+        methods: Sequence[Method],
+        limits: Limits,
+        options: EvaluationOptions,
+        folder: str | Path,
+        crossing: Scene | None = None,
+    ) -> None:
+        self._methods = methods
+        self._limits = limits
+        self._options = options
+        self._folder = Path(folder)
+        self._crossing = crossing or crossing_scene()
+        self._reasons: dict[str, str | None] = {}
+
+    def on(self, scene: Scene) -> Iterator[Result]:
+        """Yield the result of every method on a scene."""
+        path = self._folder / "scene.npz"
+        scene.write(path)
+        for method in self._methods:
+            outcome = self._run(method, path)
+            skipped, figures = outcome.skipped, {}
+            if skipped is None:
+                try:
+                    evaluated = measure(scene, outcome.removed, self._options, self._folder)
+                    figures = Result.figures_of(outcome, evaluated)
+                except EvaluationError as error:
+                    skipped = str(error)
+            yield Result(
+                method=method.name,
+                family=method.family.value,
+                scene=scene.name,
+                group=scene.group,
+                points=len(scene),
+                skipped=skipped,
+                figures=figures,
+            )
+
+    def _run(self, method: Method, scene: Path) -> Outcome:
+        if method.family is Family.SCANS:
+            if method.name not in self._reasons:
+                self._reasons[method.name] = self._why_not(method)
+            reason = self._reasons[method.name]
+            if reason is not None:
+                return Outcome.skip(reason)
+        return run_isolated(method, scene, self._folder, self._limits)
+
+    def _why_not(self, method: Method) -> str | None:
+        """Return why a method is not trusted with a scene; None if it works on the easy one."""
+        path = self._folder / "crossing.npz"
+        self._crossing.write(path)
+        outcome = run_isolated(method, path, self._folder, self._limits)
+        if outcome.skipped is not None:
+            return outcome.skipped
+        moved = self._crossing.labels == Truth.DYNAMIC
+        found = float(np.mean(outcome.removed[moved]))
+        lost = float(np.mean(outcome.removed[~moved]))
+        if found >= LEAST_FOUND and lost <= MOST_LOST:
+            return None
+        return (
+            f"finds {found:.0%} of a thing that crosses an empty hall and loses {lost:.0%} of the "
+            "hall: called wrongly, or not made for such scans"
+        )

@@ -1,0 +1,47 @@
+"""The data of the comparison: simulated, recorded, and a scene on which every peer must work."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from benchmarks.compare.data.crossing import crossing_scene
+from benchmarks.compare.data.recorded import room_scene, street_scene
+from benchmarks.compare.data.simulated import simulated_scene
+from benchmarks.compare.scene import Scene
+from pipeline.simulation import SceneKind
+
+__all__ = ["SCENES", "scene_makers"]
+
+SIMULATED = tuple(kind.value for kind in SceneKind)
+RECORDED = {"street-64": street_scene, "room": room_scene}
+SCENES = ("crossing", *(f"simulated-{kind}" for kind in SIMULATED), *RECORDED)
+"""Names that the command line takes."""
+
+
+def scene_makers(
+    names: Sequence[str], seeds: Sequence[int], settings: Sequence[str], maps: Path
+) -> list[Callable[[], Scene]]:
+    """Return what makes the scenes, one after the other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of `SCENES`.
+    seeds : sequence of int
+        Of those that are simulated: as many scenes.
+    settings : sequence of str
+        `key=value`, for the simulation.
+    maps : Path
+        The folder of recorded maps.
+    """
+    makers: list[Callable[[], Scene]] = []
+    for name in names:
+        if name == "crossing":
+            makers.append(crossing_scene)
+        elif name in RECORDED:
+            recorded = RECORDED[name]
+            makers.append(partial(recorded, maps))
+        else:
+            kind = SceneKind(name.removeprefix("simulated-"))
+            makers += [partial(simulated_scene, kind, seed, settings) for seed in seeds]
+    return makers

@@ -1,0 +1,97 @@
+"""Running a method in a process of its own, with a limit on time and memory."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.compare.method import Method
+
+__all__ = ["Limits", "Outcome", "run_isolated"]
+
+_ROOT = Path(__file__).resolve().parents[2]
+_LONGEST_REASON = 160
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a method may take: seconds of wall time, and GiB of memory."""
+
+    seconds: float
+    memory: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes
+    ----------
+    skipped : str or None
+        Why there is no result.
+    removed : (N,) bool array
+        Empty where there is none.
+    seconds : float
+        Wall time of the method; reading the scene, importing and compiling are left out.
+    memory : int
+        Bytes by which the peak of the process rose beyond the scene.
+    """
+
+    skipped: str | None
+    removed: NDArray[np.bool_]
+    seconds: float
+    memory: int
+
+    @classmethod
+    def skip(cls, reason: str) -> "Outcome":
+        """Return the outcome of a run that gave nothing."""
+        return cls(reason, np.empty(0, dtype=np.bool_), 0.0, 0)
+
+
+def run_isolated(method: Method, scene: Path, folder: Path, limits: Limits) -> Outcome:
+    """Run a method on a scene that was written to a file; no failure of it is raised.
+
+    Parameters
+    ----------
+    method : Method
+    scene : Path
+    folder : Path
+        For the files that come back.
+    limits : Limits
+        Of the seconds, importing and compiling take their share.
+    """
+    removed, report = folder / "removed.npy", folder / "report.json"
+    removed.unlink(missing_ok=True)
+    report.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "benchmarks.compare.worker", method.name]
+    command += [str(path.resolve()) for path in (scene, removed, report)]
+    command += ["--memory", str(limits.memory)]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=_ROOT,
+            timeout=limits.seconds,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Outcome.skip(f"more than {limits.seconds:g} s")
+    if done.returncode:
+        return Outcome.skip(_failure(done.returncode, done.stderr))
+    told = json.loads(report.read_text(encoding="utf-8"))
+    if "skipped" in told:
+        return Outcome.skip(told["skipped"])
+    return Outcome(None, np.load(removed), told["seconds"], told["memory"])
+
+
+def _failure(code: int, errors: str) -> str:
+    if code < 0:
+        return f"ended by signal {-code}"
+    lines = errors.strip().splitlines()
+    return f"failed: {lines[-1][:_LONGEST_REASON]}" if lines else f"failed with exit code {code}"

@@ -1,0 +1,102 @@
+"""The figures of one method on one scene, and their means over the scenes of a group."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+from benchmarks.compare.isolated import Outcome
+from pipeline.evaluation.evaluate import Figures
+from pipeline.evaluation.scoring import Scores
+
+__all__ = ["COLUMNS", "Result", "mean_of"]
+
+_MEBIBYTE = 2**20
+_MILLIMETRES = 1000.0
+
+
+def _scores(figures: Figures) -> Scores:
+    assert figures.scores is not None  # the original map is always given
+    return figures.scores
+
+
+def _earth_mover(figures: Figures) -> float | None:
+    transport = figures.geometry.earth_mover
+    return None if transport is None else _MILLIMETRES * transport.distance
+
+
+COLUMNS: dict[str, Callable[[Figures], float | None]] = {
+    "MAE": lambda each: _MILLIMETRES * each.geometry.distances.mean_absolute_error,
+    "variance": lambda each: _MILLIMETRES**2 * each.geometry.distances.variance,
+    "RMSE": lambda each: _MILLIMETRES * each.geometry.distances.root_mean_square_error,
+    "90th percentile": lambda each: _MILLIMETRES * each.geometry.distances.percentile_90,
+    "Chamfer": lambda each: _MILLIMETRES**2 * each.geometry.chamfer.squared,
+    "EMD": _earth_mover,
+    "FP %": lambda each: _scores(each).confusion.false_positive_percent,
+    "FN %": lambda each: _scores(each).confusion.false_negative_percent,
+    "precision": lambda each: _scores(each).confusion.precision,
+    "recall": lambda each: _scores(each).confusion.recall,
+    "F1": lambda each: _scores(each).confusion.f1,
+    "SA": lambda each: _scores(each).accuracy.static_accuracy,
+    "DA": lambda each: _scores(each).accuracy.dynamic_accuracy,
+    "AA": lambda each: _scores(each).accuracy.associated_accuracy,
+    "HA": lambda each: _scores(each).accuracy.harmonic_accuracy,
+    "PR": lambda each: _scores(each).preservation.preservation_rate,
+    "RR": lambda each: _scores(each).preservation.rejection_rate,
+    "PR-RR F1": lambda each: _scores(each).preservation.f1,
+}
+"""Where each column of the tables comes from: millimetres, square millimetres, and percent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One method on one scene, or the means of several.
+
+    Attributes
+    ----------
+    method, family, scene, group : str
+    points : int
+        Of the whole map.
+    skipped : str or None
+        Why there are no figures.
+    figures : dict of str to float or None
+        By column; None where undefined.
+    """
+
+    method: str
+    family: str
+    scene: str
+    group: str
+    points: int
+    skipped: str | None
+    figures: dict[str, float | None]
+
+    @classmethod
+    def figures_of(cls, outcome: Outcome, figures: Figures) -> dict[str, float | None]:
+        """Take all columns of an outcome and its evaluation."""
+        values = {column: value_of(figures) for column, value_of in COLUMNS.items()}
+        return values | {
+            "removed %": 100 * float(outcome.removed.mean()),
+            "s": outcome.seconds,
+            "µs a point": 1e6 * outcome.seconds / max(len(outcome.removed), 1),
+            "MiB": outcome.memory / _MEBIBYTE,
+        }
+
+
+def mean_of(results: Sequence[Result]) -> Result:
+    """Return the means of a method over scenes; skipped if it was skipped on one of them."""
+    first = results[0]
+    skipped = next((each.skipped for each in results if each.skipped), None)
+    figures: dict[str, float | None] = {}
+    for column in first.figures if skipped is None else ():
+        values = [each.figures[column] for each in results]
+        defined = [value for value in values if value is not None]
+        figures[column] = fmean(defined) if len(defined) == len(values) else None
+    return Result(
+        method=first.method,
+        family=first.family,
+        scene=", ".join(each.scene for each in results),
+        group=first.group,
+        points=sum(each.points for each in results),
+        skipped=skipped,
+        figures=figures,
+    )
