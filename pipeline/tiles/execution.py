@@ -160,7 +160,8 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
     settings: dict[str, Any] = {
-        "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+        # Memory that a tile no longer needs goes back to the system, not to the next tile's peak.
+        "distributed.nanny.pre-spawn-environ": {**ONE_THREAD, "MALLOC_TRIM_THRESHOLD_": "65536"},
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
