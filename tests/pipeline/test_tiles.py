@@ -166,6 +166,30 @@ def test_a_halo_narrower_than_the_ground_looks_is_made_up_for(room_file, tmp_pat
         assert_same(table, result)
 
 
+@pytest.mark.parametrize("halo", ["0", "0.3"])
+def test_neighbours_are_found_across_every_border_of_small_tiles(halo, tmp_path):
+    random = np.random.default_rng(10)
+    np.save(
+        tmp_path / "map.npy", KINDS["gridded"](random.uniform(size=(600, 3)) * [6, 5, 2], random)
+    )
+    wanted = ["ground.method=none", "clustering.count=1"]
+    _, table, chunks = tiled(
+        [tmp_path / "map.npy"], tmp_path / "out", 15, f"tiling.halo={halo}", *wanted
+    )
+    assert len(chunks) > 40
+    assert_same(table, in_memory([tmp_path / "map.npy"], *wanted))
+
+
+def test_ties_at_a_border_go_to_the_lower_row_whichever_side_it_is_on(tmp_path):
+    # Each point has six neighbours as near as the border of the lattice's columns.
+    lattice = np.mgrid[:10, :8, :4].reshape(3, -1).T * 0.25
+    np.save(tmp_path / "map.npy", np.random.default_rng(11).permutation(lattice))
+    wanted = ["ground.method=none", "clustering.count=1", "neighbours.k=6"]
+    _, table, chunks = tiled([tmp_path / "map.npy"], tmp_path / "out", 16, "tiling.halo=0", *wanted)
+    assert len(chunks) >= 20
+    assert_same(table, in_memory([tmp_path / "map.npy"], *wanted))
+
+
 def test_the_reference_device_says_the_same_over_tiles(tmp_path):
     random = np.random.default_rng(6)
     np.save(tmp_path / "room.npy", KINDS["gridded"](room(150, random), random))
