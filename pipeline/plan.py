@@ -28,10 +28,10 @@ _BYTES_ON_DISK = 100
 _SCORES_ON_DISK = 40
 """A point of the map: densities, labels, and what else is kept of each row."""
 
-_MICROSECONDS_A_POINT = 6.0
+_MICROSECONDS_A_POINT = 8.0
 """Of the core; on one worker of a machine of 2023."""
 
-_MICROSECONDS_A_HALO_POINT = 2.0
+_MICROSECONDS_A_HALO_POINT = 3.0
 
 _WIDEST_REACH = 2.0
 """Metres of halo for neighbours, at most: points that need more are finished from other tiles."""
