@@ -165,6 +165,7 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
+        "distributed.admin.log-length": 1_000,
         "distributed.comm.timeouts.connect": "60s",
     }
     with (
