@@ -18,8 +18,8 @@ from pipeline.evaluation.options import EvaluationOptions
 __all__ = ["Comparison"]
 
 LEAST_FOUND, MOST_LOST = 0.7, 0.25
-"""Of a thing that crosses an empty hall, and of the hall: see `data.crossing`. The foot of the thing
-is as near to the floor as a voxel, and OctoMap is known to wear floors away."""
+"""Of a thing that crosses an empty hall, and of the hall: see `data.crossing`. The foot of the
+thing is as near to the floor as a voxel, and OctoMap is known to wear floors away."""
 
 
 class Comparison:

@@ -38,7 +38,7 @@ class Outcome:
     seconds : float
         Wall time of the method; reading the scene, importing and compiling are left out.
     memory : int
-        Bytes by which the peak of the process rose beyond the scene.
+        Bytes, peak of the whole process, with the scene and all that was imported.
     """
 
     skipped: str | None

@@ -78,7 +78,7 @@ class Result:
             "removed %": 100 * float(outcome.removed.mean()),
             "s": outcome.seconds,
             "µs a point": 1e6 * outcome.seconds / max(len(outcome.removed), 1),
-            "MiB": outcome.memory / _MEBIBYTE,
+            "peak MiB": outcome.memory / _MEBIBYTE,
         }
 
 

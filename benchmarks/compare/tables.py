@@ -25,7 +25,7 @@ _TABLES = {
         "removed %": 2,
         "s": 1,
         "µs a point": 1,
-        "MiB": 0,
+        "peak MiB": 0,
     },
     "DynamicMap benchmark (SA, DA, AA, HA) and ERASOR (PR, RR, F1), percent": {
         "SA": 1,
