@@ -141,7 +141,7 @@ def test_labels_clusters_and_densities_are_those_of_the_whole_map(
         np.save(Path(folder) / "map.npy", points)
         maps = [Path(folder) / "map.npy"]
         _, table, chunks = tiled(
-            maps, Path(folder) / "out", min(max_points, len(points) - 1),
+            maps, Path(folder) / "out", min(max_points, len(points) // 2),
             f"tiling.halo={halo}", *wanted,
         )  # fmt: skip
         assert len(chunks) > 1 or kind == "duplicates"
