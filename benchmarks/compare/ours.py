@@ -1,4 +1,8 @@
-"""DynaHull: every ready configuration, and one rank over the whole map beside them."""
+"""DynaHull: every ready configuration, and what becomes of it without its steps.
+
+One cluster is a map without clustering and without Eq. 1; one rank over all, ground and everything,
+is the simplest thing that can be done with the densities.
+"""
 
 import os
 from collections.abc import Iterator
@@ -14,7 +18,12 @@ from pipeline.configuration import load_configuration, ready_configurations
 __all__ = ["methods"]
 
 _PAPER = "paper"
-_ONE_RANK = "one cluster, 12.5 % removed"
+_ONE_CLUSTER = ["clustering.count=1", "removal.min_percent=12.5", "removal.max_percent=12.5"]
+_WITHOUT_STEPS = {
+    "one cluster, 12.5 % removed": _ONE_CLUSTER,
+    "one rank over all, 12.5 % removed": [*_ONE_CLUSTER, "ground.method=none"],
+}
+"""12.5 % is halfway between the bounds of Eq. 1."""
 
 
 def methods() -> Iterator[Method]:
@@ -25,11 +34,8 @@ def methods() -> Iterator[Method]:
         if parameters not in seen:
             seen.append(parameters)
             yield _method(f"DynaHull, {name}", parameters)
-    one_rank = load_configuration(
-        _PAPER,
-        ["clustering.count=1", "removal.min_percent=12.5", "removal.max_percent=12.5"],
-    )
-    yield _method(f"DynaHull, {_ONE_RANK}", one_rank.method())
+    for name, settings in _WITHOUT_STEPS.items():
+        yield _method(f"DynaHull, {name}", load_configuration(_PAPER, settings).method())
 
 
 def _method(name: str, parameters: MethodParameters) -> Method:
