@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -161,3 +162,14 @@ def test_what_is_always_there_is_static_and_what_passes_is_not():
     order = np.random.default_rng(0).permutation(len(rows))
     xyz, scan, truth = (np.array([rows[row][part] for row in order]) for part in range(3))
     assert (labels_by_occupancy(xyz, scan.astype(np.int32)) == truth).all()
+
+
+def test_a_peer_that_removes_nothing_from_a_scene_is_not_compared_on_it(
+    crossing, tmp_path, monkeypatch
+):
+    def sees_the_crossing_only(scene):
+        return np.asarray(scene.labels == 1) & (scene.name == "crossing")
+
+    comparison = comparison_of(sees_the_crossing_only, crossing, tmp_path, monkeypatch)
+    (result,) = comparison.on(replace(crossing, name="another"))
+    assert result.skipped.startswith("removed nothing here")

@@ -17,6 +17,10 @@ __all__ = ["METHODS"]
 VOXEL, HIT_INFLATION, UNKNOWN_INFLATION = 0.1, 0.2, 2
 """Metres, metres and voxels: what the authors' own program uses for all sensors."""
 
+MIN_RANGE = 0.3
+"""Metres. Some sensors return points at themselves; a single one makes version 1.1.1 find nothing
+at all, so nearer points are not shown to it, and kept."""
+
 
 def _load() -> Removal:
     try:
@@ -28,15 +32,23 @@ def _load() -> Removal:
         threads = len(os.sched_getaffinity(0))
         grid = dufomap.dufomap(VOXEL, HIT_INFLATION, UNKNOWN_INFLATION, num_threads=threads)
         for scan in scene.scans():
-            grid.run(scan.in_sensor_frame(), _pose(scan), cloud_transform=True)
+            points, _ = _far(scan)
+            grid.run(points, _pose(scan), cloud_transform=True)
         grid.oncePropagateCluster(if_propagate=True, if_cluster=False)
         removed = np.zeros(len(scene), dtype=np.bool_)
         for scan in scene.scans():
-            labels = grid.segment(scan.in_sensor_frame(), _pose(scan), cloud_transform=True)
-            removed[scan.rows] = labels == 1
+            points, rows = _far(scan)
+            removed[rows] = grid.segment(points, _pose(scan), cloud_transform=True) == 1
         return removed
 
     return remove
+
+
+def _far(scan: Scan) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Return the points that are not at the sensor itself, in its frame, and their rows."""
+    points = scan.in_sensor_frame()
+    far = np.linalg.norm(points, axis=1) >= MIN_RANGE
+    return points[far], scan.rows[far]
 
 
 def _pose(scan: Scan) -> NDArray[np.float64]:
