@@ -37,19 +37,16 @@ class Outcome:
         Empty where there is none.
     seconds : float
         Wall time of the method; reading the scene, importing and compiling are left out.
-    memory : int
-        Bytes, peak of the whole process, with the scene and all that was imported.
     """
 
     skipped: str | None
     removed: NDArray[np.bool_]
     seconds: float
-    memory: int
 
     @classmethod
     def skip(cls, reason: str) -> "Outcome":
         """Return the outcome of a run that gave nothing."""
-        return cls(reason, np.empty(0, dtype=np.bool_), 0.0, 0)
+        return cls(reason, np.empty(0, dtype=np.bool_), 0.0)
 
 
 def run_isolated(method: Method, scene: Path, folder: Path, limits: Limits) -> Outcome:
@@ -87,7 +84,7 @@ def run_isolated(method: Method, scene: Path, folder: Path, limits: Limits) -> O
     told = json.loads(report.read_text(encoding="utf-8"))
     if "skipped" in told:
         return Outcome.skip(told["skipped"])
-    return Outcome(None, np.load(removed), told["seconds"], told["memory"])
+    return Outcome(None, np.load(removed), told["seconds"])
 
 
 def _failure(code: int, errors: str) -> str:

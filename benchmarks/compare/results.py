@@ -10,7 +10,6 @@ from pipeline.evaluation.scoring import Scores
 
 __all__ = ["COLUMNS", "Result", "mean_of"]
 
-_MEBIBYTE = 2**20
 _MILLIMETRES = 1000.0
 
 
@@ -78,7 +77,6 @@ class Result:
             "removed %": 100 * float(outcome.removed.mean()),
             "s": outcome.seconds,
             "µs a point": 1e6 * outcome.seconds / max(len(outcome.removed), 1),
-            "peak MiB": outcome.memory / _MEBIBYTE,
         }
 
 

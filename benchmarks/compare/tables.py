@@ -25,7 +25,6 @@ _TABLES = {
         "removed %": 2,
         "s": 1,
         "µs a point": 1,
-        "peak MiB": 0,
     },
     "DynamicMap benchmark (SA, DA, AA, HA) and ERASOR (PR, RR, F1), percent": {
         "SA": 1,
@@ -61,7 +60,7 @@ def _group(group: str, results: Sequence[Result]) -> Iterator[str]:
     scenes = dict.fromkeys(each.scene for each in results)
     points = sum({each.scene: each.points for each in results}.values())
     yield f"\n## {group}\n"
-    yield f"{len(scenes)} scenes, {points:,} points: {'; '.join(scenes)}.\n"
+    yield f"{len(scenes)} scene{'s' * (len(scenes) > 1)}, {points:,} points: {'; '.join(scenes)}.\n"
     for title, columns in _TABLES.items():
         yield f"### {title}\n"
         yield "| method | needs | " + " | ".join(columns) + " |"

@@ -97,7 +97,7 @@ def comparison_of(removal, crossing, folder, monkeypatch):
     from benchmarks.compare.scene import Scene  # noqa: PLC0415
 
     def run(method, scene, *_):
-        return Outcome(None, method.load()(Scene.read(scene)), 1.0, 0)
+        return Outcome(None, method.load()(Scene.read(scene)), 1.0)
 
     monkeypatch.setattr(module, "run_isolated", run)
     method = Method("peer", Family.SCANS, lambda: removal)
