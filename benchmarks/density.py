@@ -311,10 +311,11 @@ def resident() -> int:
 
 
 def start_up() -> None:
-    """Print the seconds of a first start, which compiles, and of a later one."""
+    """Print the seconds of a first start, which compiles hulls and ground, and of a later one."""
     program = (
         "import time; begin = time.process_time()\n"
         "from dynahull.kernels.compilation import kernels; kernels()\n"
+        "from dynahull.ground.slope import compile_once; compile_once()\n"
         "print(time.process_time() - begin)\n"
     )
     with tempfile.TemporaryDirectory() as folder:

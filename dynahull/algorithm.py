@@ -205,6 +205,27 @@ def set_ground_aside(
     return ground, above
 
 
+def set_aside_labels(
+    valid: NDArray[np.bool_], ground: NDArray[np.bool_], above: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Label the points that are not scored, each by its reason; all others are static so far.
+
+    Parameters
+    ----------
+    valid, ground, above : (N,) bool arrays
+        See `valid_points` and `set_ground_aside`.
+
+    Returns
+    -------
+    (N,) uint8 array
+    """
+    labels = np.full(len(valid), Label.STATIC, np.uint8)
+    labels[~valid] = Label.INVALID
+    labels[ground] = Label.GROUND
+    labels[above] = Label.ABOVE
+    return labels
+
+
 def find_clusters(
     points: NDArray[np.float64],
     rows: NDArray[np.int64],
@@ -284,10 +305,7 @@ def _merged_labels(
     removals: Sequence[Removal],
 ) -> NDArray[np.uint8]:
     """Put static, dynamic and set-aside points together again (the last step of Algorithm 1)."""
-    labels = np.full(len(valid), Label.STATIC, np.uint8)
-    labels[~valid] = Label.INVALID
-    labels[ground] = Label.GROUND
-    labels[above] = Label.ABOVE
+    labels = set_aside_labels(valid, ground, above)
     for members, removal in zip(membership, removals, strict=True):
         if len(members) < SMALLEST_CLUSTER:
             labels[members] = Label.UNSCORED

@@ -39,7 +39,7 @@ _WIDEST_REACH = 2.0
 _SPARSE_SHARE = 0.1
 """Share of the points, in the sparsest columns, that the halo is not made for."""
 
-SMALLEST_REACH = 0.25
+_SMALLEST_REACH = 0.25
 """Metres of halo for neighbours, at least."""
 
 
@@ -173,13 +173,13 @@ def neighbour_reach(occupancy: Occupancy, k: int) -> float:
     A column's points are taken to be spread evenly over its ground plan.
     """
     if not len(occupancy.counts):
-        return SMALLEST_REACH
+        return _SMALLEST_REACH
     order = np.argsort(occupancy.counts)
     below = np.cumsum(occupancy.counts[order])
     at = int(np.searchsorted(below, _SPARSE_SHARE * below[-1]))
     a_square_metre = occupancy.counts[order[at]] / occupancy.cell**2
     reach = float(np.sqrt(k / (np.pi * a_square_metre)))
-    return float(np.clip(np.ceil(reach * 20) / 20, SMALLEST_REACH, _WIDEST_REACH))
+    return float(np.clip(np.ceil(reach * 20) / 20, _SMALLEST_REACH, _WIDEST_REACH))
 
 
 def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np.int64]:

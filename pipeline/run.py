@@ -311,7 +311,7 @@ def write_maps(
     outputs: list[tuple[Path, Path]] = []
     for static, dynamic in zip(names.static, names.dynamic, strict=True):
         for name in (static, dynamic):
-            if (folder / name).exists() or name in {path for pair in outputs for path in pair}:
+            if folder / name in {path for pair in outputs for path in pair}:
                 raise LostPointsError(f"{name}: two files of the map would be written here")
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
         outputs.append((folder / static, folder / dynamic))

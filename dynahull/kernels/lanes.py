@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 VECTOR_BYTES = 64
 
-INDEX_BITS, ROUGHINDEX_BITS = 14, 7
-"""Lowest bits of a double, and of a single, that tell a point's index where the least is sought."""
-
 INDEX = ir.IntType(64)
 
 

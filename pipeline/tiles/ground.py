@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.algorithm import set_ground_aside, valid_points
+from dynahull.algorithm import set_aside_labels, set_ground_aside, valid_points
 from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.progress import SilentObserver
@@ -28,22 +28,15 @@ def find_ground(job: Job, tile: int) -> TaskReport:
 
     Kept as well are those of its points that the clusters are fitted on.
     """
-    chunk, margin = _surroundings(job, tile)
+    chunk = _surroundings(job, tile)
     classes = None
     if job.needs_classes:
         classes = open_rows(job.rows_path("class"), np.uint8)[chunk.rows]
     valid = valid_points(chunk.xyz)
     parameters = job.configuration.method()
     ground, above = set_ground_aside(chunk.xyz, valid, parameters, classes, SilentObserver())
-    labels = np.full(len(chunk), Label.STATIC, np.uint8)
-    labels[~valid] = Label.INVALID
-    labels[ground] = Label.GROUND
-    labels[above] = Label.ABOVE
-
-    region = region_of(job, tile, margin)
-    inside = (chunk.xyz[:, :2] >= region.low).all(axis=1) & (chunk.xyz[:, :2] < region.high).all(
-        axis=1
-    )
+    labels = set_aside_labels(valid, ground, above)
+    inside = region_of(job, tile).holds(chunk.xyz)
     free = chunk.select(inside & (labels == Label.STATIC))
     core_rows = chunk.rows[chunk.core]
     own = free.select(free.core)
@@ -63,17 +56,13 @@ def find_ground(job: Job, tile: int) -> TaskReport:
     return TaskReport(core_count, (len(own),))
 
 
-def margin_of(job: Job) -> float:
-    """Metres beyond its core in which a tile knows which points are free of the ground."""
-    return max(job.store.halo - job.decision_radius, 0.0)
-
-
-def region_of(job: Job, tile: int, margin: float) -> Region:
-    """Return where a tile knows all ground-free points: its core and a margin around it.
+def region_of(job: Job, tile: int) -> Region:
+    """Return where a tile knows all ground-free points: its core, and what its halo decides.
 
     It has no end where the map has none beyond.
     """
     layout = job.store.layout
+    margin = max(job.store.halo - job.decision_radius, 0.0)
     low, high = layout.low[tile] - margin, layout.high[tile] + margin
     return Region(
         np.where(low <= layout.low.min(axis=0), -np.inf, low),
@@ -81,12 +70,12 @@ def region_of(job: Job, tile: int, margin: float) -> Region:
     )
 
 
-def _surroundings(job: Job, tile: int) -> tuple[Chunk, float]:
-    """Return all points that decide about those of a tile, and of the margin around its core."""
+def _surroundings(job: Job, tile: int) -> Chunk:
+    """Return all points that decide which points of a tile's region are free of the ground."""
     store = job.store
     chunk = read_chunk(store, tile)
     if store.halo >= job.decision_radius:
-        return chunk, margin_of(job)
+        return chunk
     # The halo is too narrow: the rest comes from the chunks around.
     layout = store.layout
     low = layout.low[tile] - job.decision_radius
@@ -94,14 +83,13 @@ def _surroundings(job: Job, tile: int) -> tuple[Chunk, float]:
     near = layout.near(low, high)
     around = read_cores(store, near[near != tile].tolist(), low, high)
     around.core[:] = False
-    own = chunk.select(chunk.core)
-    parts = (own, around)
+    parts = (chunk.select(chunk.core), around)
     together = Chunk(
         np.concatenate([part.xyz for part in parts]),
         np.concatenate([part.rows for part in parts]),
         np.concatenate([part.core for part in parts]),
     )
-    return together.select(np.argsort(together.rows)), 0.0
+    return together.select(np.argsort(together.rows))
 
 
 class TilesAround:

@@ -19,7 +19,6 @@ from pipeline.tiles.ground import (
     LABEL_NAMES,
     SAMPLE_NAMES,
     TilesAround,
-    margin_of,
     region_of,
 )
 from pipeline.tiles.job import Job
@@ -40,7 +39,7 @@ def score_tile(job: Job, tile: int) -> TaskReport:
     scores = core_densities(
         FreePoints(xyz, rows),
         core,
-        region_of(job, tile, margin_of(job)),
+        region_of(job, tile),
         TilesAround(job, tile),
         clusters,
         job.configuration.method(),

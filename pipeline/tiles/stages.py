@@ -1,6 +1,5 @@
 """One stage of a run: its tasks done in any order, each once, whatever happened before."""
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -85,7 +84,7 @@ def do_stage(
         yield number, earlier
     state.begin()
     failures: dict[int, str] = {}
-    for number, outcome in executor.run(partial(do_task, stage), str(job.root.resolve()), waiting):
+    for number, outcome in executor.run(partial(do_task, stage), str(job.root), waiting):
         if isinstance(outcome, TaskFailure):
             failures[number] = outcome.reason
             state.fail(number, outcome.reason)
@@ -115,7 +114,6 @@ class _State:
         self._job = job
         self._values: dict[str, Any] = {
             "stage": stage,
-            "process": os.getpid(),
             "tasks": len(points),
             "points": sum(points),
             "done_tasks": 0,

@@ -33,12 +33,7 @@ from pipeline.tiles.work import TaskReport
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _nothing_waits_for_the_disk():
-    """A process that ends leaves its page cache behind; only a power cut, not tested here, not."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda handle: None)
-        yield
+pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
 
 def answer(folder, number):

@@ -1,7 +1,6 @@
 """A map cut into tiles is cleaned as in memory: labels, clusters, densities, bit for bit."""
 
 import json
-import os
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -30,12 +29,7 @@ SMALL_GROUND = [
 """A slope ground that looks about two metres far, so that maps of a few metres have borders."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _nothing_waits_for_the_disk():
-    """A process that ends leaves its page cache behind; only a power cut, not tested here, not."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda handle: None)
-        yield
+pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
 
 def cleaned(maps, folder, *wanted):

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import os
 import re
 import shutil
 import sys
@@ -31,12 +30,7 @@ SMALL = [
 WORK = ".dynahull-work"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _nothing_waits_for_the_disk():
-    """A process that ends leaves its page cache behind; only a power cut, not tested here, not."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda handle: None)
-        yield
+pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
 
 @pytest.fixture

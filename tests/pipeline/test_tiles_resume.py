@@ -1,7 +1,6 @@
 """A run that was killed, or that failed, goes on: nothing is done twice, and never mixed up."""
 
 import json
-import os
 import random
 import signal
 import subprocess
@@ -32,12 +31,7 @@ SETTINGS = [
 WORK = ".dynahull-work"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _nothing_waits_for_the_disk():
-    """A process that ends leaves its page cache behind; only a power cut, not tested here, not."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda handle: None)
-        yield
+pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
 
 def write_map(folder):

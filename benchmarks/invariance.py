@@ -1,0 +1,70 @@
+"""The same bytes however a real map is cut: static map, ghosts and labels, against one tile.
+
+    python -m benchmarks.invariance [--maps ../shared/data/maps] [--only corridor.pcd]
+
+Cleans each map as one tile, and again for each way to cut it below; prints the tiles and whether
+all result files have the same bytes. The maps of campus and street take minutes each.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from datetime import date
+from pathlib import Path
+
+from benchmarks.density import machine
+from benchmarks.whole_run import COMMAND, ONE_TILE
+
+CUTS = {
+    "corridor.pcd": [
+        ["tiling.max_points=2000"],
+        ["tiling.max_points=2000", "tiling.halo=0.1", "execution.cluster=none"],
+        ["tiling.max_points=20000", "tiling.halo=30"],
+    ],
+    "campus_loop.laz": [[], ["tiling.format=las"]],
+    "street_64beam_labelled.laz": [[]],
+}
+
+
+def main() -> None:
+    """Clean, compare, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--maps", type=Path, default=Path("../shared/data/maps"))
+    parser.add_argument("--only", choices=CUTS)
+    arguments = parser.parse_args()
+    print(f"{date.today()}, {machine()}")
+    same = True
+    for name in [arguments.only] if arguments.only else CUTS:
+        with tempfile.TemporaryDirectory() as folder:
+            whole, tiled = Path(folder) / "whole", Path(folder) / "tiled"
+            clean(arguments.maps / name, whole, ONE_TILE)
+            for cut in CUTS[name]:
+                settings = [part for setting in cut for part in ("--set", setting)]
+                clean(arguments.maps / name, tiled, [*settings, "--keep-work"])
+                tiles = len(list(tiled.glob(".dynahull-work/label/*.done")))
+                equal = all(
+                    (whole / each).read_bytes() == (tiled / each).read_bytes()
+                    for each in results(whole)
+                )
+                same &= equal
+                verdict = "the same bytes" if equal else "DIFFERENT"
+                print(
+                    f"{name}, {' '.join(cut) or 'as it is'}: {tiles} tiles, {verdict}", flush=True
+                )
+    sys.exit(0 if same else 1)
+
+
+def clean(path: Path, folder: Path, settings: list[str]) -> None:
+    """Clean a map, with labels."""
+    command = [*COMMAND, str(path), "-o", str(folder), "--labels", "--fresh", *settings]
+    subprocess.run(command, check=True, capture_output=True)
+
+
+def results(folder: Path) -> list[str]:
+    """Return the names of the files that must be the same."""
+    return [path.name for path in folder.iterdir() if path.stem in ("static", "dynamic", "labels")]
+
+
+if __name__ == "__main__":
+    main()
