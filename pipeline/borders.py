@@ -18,6 +18,7 @@ from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.neighbours import nearest_neighbours
 from dynahull.parameters import MethodParameters
+from pipeline.vicinity import Vicinity
 
 _QUERIES_AT_A_TIME = 4_096
 
@@ -73,12 +74,17 @@ class Region:
 
     def distance_to_border(self, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far points inside are from the border, (n,), metres."""
-        return np.asarray(np.minimum(xyz[:, :2] - self.low, self.high - xyz[:, :2]).min(axis=1))
+        along_x, along_y = (
+            np.minimum(xyz[:, axis] - self.low[axis], self.high[axis] - xyz[:, axis])
+            for axis in range(2)
+        )
+        return np.asarray(np.minimum(along_x, along_y))
 
     def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which points lie inside."""
-        flat = xyz[:, :2]
-        return np.asarray(((flat >= self.low) & (flat < self.high)).all(axis=1))
+        x, y = xyz[:, 0], xyz[:, 1]
+        along_x = (x >= self.low[0]) & (x < self.high[0])
+        return np.asarray(along_x & (y >= self.low[1]) & (y < self.high[1]))
 
 
 class OtherTiles(Protocol):
@@ -142,24 +148,26 @@ def core_densities(
     """
     membership = clusters.nearest(known.xyz) if len(clusters.centroids) else np.zeros(0, np.int32)
     density = np.full(len(known), np.nan)
-    finished = 0
+    reach = np.full(len(known), np.inf)
+    pending = np.zeros(len(known), np.bool_)
     for cluster in np.unique(membership[core]):
         members = np.flatnonzero(membership == cluster)
         inside, queries = known.select(members), core[members]
         found = _inside_densities(inside, queries, region, parameters)
-        scores = found.density
-        pending = np.flatnonzero(queries & ~region.suffices(inside.xyz, found.squared_reach))
-        finished += len(pending)
-        reachable = _Reachable(inside, known.rows, region, others, clusters, int(cluster))
-        together = np.isfinite(found.squared_reach[pending])
-        for group in _of_like_reach(pending[together], found.squared_reach):
-            scores[group] = reachable.densities_together(group, found.squared_reach, parameters)
-        one_by_one = pending[~together]
-        for start in range(0, len(one_by_one), _QUERIES_AT_A_TIME):
-            batch = one_by_one[start : start + _QUERIES_AT_A_TIME]
-            scores[batch] = reachable.densities(inside.select(batch), parameters)
-        density[members] = scores
-    return CoreDensities(membership[core], density[core], finished)
+        density[members] = found.density
+        pending[members] = queries & ~region.suffices(inside.xyz, found.squared_reach)
+        # A hair more than the distance, so that no rounding of it hides a tie.
+        reach[members] = np.sqrt(found.squared_reach) * (1 + 1e-9)
+    rest = _Rest(known, membership, region, others, clusters, parameters)
+    reached = pending & np.isfinite(reach)
+    density[reached] = rest.within_reach(np.flatnonzero(reached), reach[reached])
+    one_by_one = np.flatnonzero(pending & ~reached)
+    for cluster in np.unique(membership[one_by_one]):
+        of_cluster = one_by_one[membership[one_by_one] == cluster]
+        for start in range(0, len(of_cluster), _QUERIES_AT_A_TIME):
+            batch = of_cluster[start : start + _QUERIES_AT_A_TIME]
+            density[batch] = rest.wherever(batch, cluster)
+    return CoreDensities(membership[core], density[core], int(pending.sum()))
 
 
 def _inside_densities(
@@ -179,106 +187,127 @@ def _inside_densities(
     return hull_densities(inside.xyz, inside.rows, k, queries=queries)
 
 
-def _of_like_reach(
-    queries: NDArray[np.intp], squared_reach: NDArray[np.float64]
-) -> Iterator[NDArray[np.intp]]:
-    """Put together queries whose reaches differ by a factor of two at most."""
-    octaves = np.frexp(squared_reach[queries])[1] // 2
-    for octave in np.unique(octaves):
-        yield queries[octaves == octave]
+class _Rest:
+    """What is left to do of a tile: points that may have a neighbour beyond the region.
 
-
-class _Reachable:
-    """The points of one cluster that queries can reach: those inside, and those of other tiles."""
+    Parameters
+    ----------
+    known : FreePoints
+        All ground-free points of the region.
+    membership : (n,) int32 array
+        Their clusters.
+    region, others, clusters, parameters
+        As for `core_densities`.
+    """
 
     def __init__(
         self,
-        inside: FreePoints,
-        known_rows: NDArray[np.int64],
+        known: FreePoints,
+        membership: NDArray[np.int32],
         region: Region,
         others: OtherTiles,
         clusters: Clusters,
-        cluster: int,
+        parameters: MethodParameters,
     ) -> None:
-        self._inside = inside
-        self._known_rows = known_rows
+        self._known = known
+        self._membership = membership
         self._region = region
-        self._border: NDArray[np.float64] | None = None
         self._others = others
         self._clusters = clusters
-        self._cluster = cluster
+        self._parameters = parameters
 
-    def densities_together(
-        self,
-        queries: NDArray[np.intp],
-        squared_reach: NDArray[np.float64],
-        parameters: MethodParameters,
+    def within_reach(
+        self, queries: NDArray[np.intp], reach: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the density of queries that have k neighbours inside, and a reach from these.
+        """Return the density of points that have k neighbours inside.
 
-        Nothing farther than that can be a neighbour: so all that may be, from inside the border
-        and from beyond it, is gathered once for all queries.
+        Nothing farther than the last of these can be a neighbour: so all that may be is gathered
+        once, and queries of one cluster and of like reach are done together.
         """
-        inside = self._inside
-        if self._border is None:
-            self._border = self._region.distance_to_border(inside.xyz)
-        flat = inside.xyz[queries, :2]
-        # A hair more than the distance, so that no rounding of it hides a tie.
-        reach = np.sqrt(squared_reach[queries]) * (1 + 1e-9)
-        farthest = reach.max()
-        low, high = flat.min(axis=0) - farthest, flat.max(axis=0) + farthest
-        # A query lies within its reach of the border, and its neighbours within that of it.
-        near_border = self._border <= 2 * farthest * (1 + 1e-9)
-        parts = [inside.select(near_border)]
-        for tile in self._others.near(low, high):
-            tile_low, tile_high = self._others.box(tile)
-            apart = np.maximum(np.maximum(tile_low - flat, flat - tile_high), 0.0)
-            if (np.hypot(apart[:, 0], apart[:, 1]) <= reach).any():
-                points = self._others.free_points(tile)
-                within = ((points.xyz[:, :2] >= low) & (points.xyz[:, :2] <= high)).all(axis=1)
-                points = points.select(within & ~self._region.holds(points.xyz))
-                parts.append(self._of_cluster(points))
-        xyz = np.concatenate([part.xyz for part in parts])
-        rows = np.concatenate([part.rows for part in parts])
-        wanted = np.zeros(len(inside), np.bool_)
-        wanted[queries] = True
+        density = np.empty(len(queries))
+        if not len(queries):
+            return density
+        octaves = np.frexp(reach)[1]
+        vicinities = {
+            octave: Vicinity(self._known.xyz[queries[octaves == octave]], reach[octaves == octave])
+            for octave in np.unique(octaves).tolist()
+        }
+        beyond = self._beyond(list(vicinities.values()))
+        cluster_beyond = self._clusters.nearest(beyond.xyz)
+        cluster_of = self._membership[queries]
+        for cluster in np.unique(cluster_of):
+            inside = np.flatnonzero(self._membership == cluster)
+            outside = beyond.select(cluster_beyond == cluster)
+            for octave in np.unique(octaves[cluster_of == cluster]).tolist():
+                slots = np.flatnonzero((cluster_of == cluster) & (octaves == octave))
+                vicinity = vicinities[octave]
+                near = inside[vicinity.holds(self._known.xyz[inside])]
+                density[slots] = self._densities(
+                    near, outside.select(vicinity.holds(outside.xyz)), queries[slots]
+                )
+        return density
+
+    def _densities(
+        self, near: NDArray[np.intp], outside: FreePoints, queries: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """Score known points by known points near them, and by others."""
+        inside = self._known.select(near)
+        xyz = np.concatenate([inside.xyz, outside.xyz])
+        rows = np.concatenate([inside.rows, outside.rows])
         chosen = np.zeros(len(rows), np.bool_)
-        chosen[: len(parts[0])] = wanted[near_border]
-        found = hull_densities(xyz, rows, parameters.neighbours.k, queries=chosen)
+        chosen[np.searchsorted(near, queries)] = True
+        found = hull_densities(xyz, rows, self._parameters.neighbours.k, queries=chosen)
         return found.density[chosen]
 
-    def densities(self, queries: FreePoints, parameters: MethodParameters) -> NDArray[np.float64]:
-        """Return the density of each query, by its k nearest points of the whole map."""
-        k = parameters.neighbours.k
-        nearest = _Nearest(queries.xyz, k)
-        nearest.offer(self._inside, np.arange(len(queries)))
+    def _beyond(self, vicinities: Sequence[Vicinity]) -> FreePoints:
+        """Gather the points of other tiles that queries reach, each tile read once."""
+        low = np.min([vicinity.low for vicinity in vicinities], axis=0)
+        high = np.max([vicinity.high for vicinity in vicinities], axis=0)
+        gathered = [self._known.select(np.zeros(0, np.intp))]
+        for tile in self._others.near(low, high):
+            box_low, box_high = self._others.box(tile)
+            if not any(vicinity.meets(box_low, box_high) for vicinity in vicinities):
+                continue
+            points = self._others.free_points(tile)
+            near = np.zeros(len(points), np.bool_)
+            for vicinity in vicinities:
+                near |= vicinity.holds(points.xyz)
+            points = points.select(near)
+            gathered.append(points.select(~self._region.holds(points.xyz)))
+        return FreePoints(
+            np.concatenate([part.xyz for part in gathered]),
+            np.concatenate([part.rows for part in gathered]),
+        )
+
+    def wherever(self, queries: NDArray[np.intp], cluster: int) -> NDArray[np.float64]:
+        """Return the density of points of one cluster, wherever their neighbours are."""
+        k = self._parameters.neighbours.k
+        centres = self._known.select(queries)
+        nearest = _Nearest(centres.xyz, k)
+        nearest.offer(self._known.select(self._membership == cluster), np.arange(len(queries)))
         low, high = nearest.bounds()
         for tile in self._others.near(low, high):
             reaching = nearest.reaching(*self._others.box(tile))
             if len(reaching):
-                nearest.offer(self._points_of(tile), reaching)
+                points = self._others.free_points(tile)
+                points = points.select(~self._region.holds(points.xyz))
+                of_cluster = self._clusters.nearest(points.xyz) == cluster
+                nearest.offer(points.select(of_cluster), reaching)
         density = np.full(len(queries), np.nan)
         for slot, neighbours in nearest.neighbourhoods():
             if len(neighbours) < SMALLEST_CLUSTER:
                 continue
-            if parameters.density.device == "reference":
-                centre = queries.xyz[slot : slot + 1]
+            if self._parameters.density.device == "reference":
+                centre = centres.xyz[slot : slot + 1]
                 density[slot] = reference_densities(
                     neighbours.xyz, neighbours.rows, k, centres=centre
                 )[0]
             else:
-                query = neighbours.rows == queries.rows[slot]
+                query = neighbours.rows == centres.rows[slot]
                 density[slot] = hull_densities(
                     neighbours.xyz, neighbours.rows, k, queries=query
                 ).density[query][0]
         return density
-
-    def _points_of(self, tile: int) -> FreePoints:
-        points = self._others.free_points(tile)
-        return self._of_cluster(points.select(~np.isin(points.rows, self._known_rows)))
-
-    def _of_cluster(self, points: FreePoints) -> FreePoints:
-        return points.select(self._clusters.nearest(points.xyz) == self._cluster)
 
 
 class _Nearest:
