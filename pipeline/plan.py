@@ -13,7 +13,7 @@ from pipeline.errors import PlanError
 from pipeline.machine import available_memory
 from tiling.formats.collection import MapCollection
 from tiling.layout import Layout, quadtree
-from tiling.occupancy import Occupancy
+from tiling.occupancy import Occupancy, count_within
 from tiling.survey import Survey
 
 _BASE_BYTES = 350 << 20
@@ -143,14 +143,14 @@ def make_plan(
     PlanError
         When a lattice column alone holds more points than a worker has memory for.
     """
-    layout = quadtree(survey.occupancy, configuration.tiling.max_points)
     # A ground step that looks at the map as a whole does not look at tiles at all.
     radius = 0.0 if ground_radius(configuration.ground) is None else decision_radius(configuration)
     halo = configuration.tiling.halo
     if halo == "auto":
         halo = radius + neighbour_reach(survey.occupancy, configuration.neighbours.k)
-    held = points_held(layout, survey.occupancy, halo)
     around = max(halo, radius)
+    layout = quadtree(survey.occupancy, configuration.tiling.max_points, around)
+    held = points_held(layout, survey.occupancy, halo)
     gathered = held if around == halo else points_held(layout, survey.occupancy, around)
     core, all_held = int(layout.counts.sum()), int(held.sum())
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
@@ -189,15 +189,7 @@ def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np
     -------
     (T,) int64 array
     """
-    middles = (occupancy.columns + 0.5) * occupancy.cell
-    held = np.empty(len(layout), np.int64)
-    for tile in range(len(layout)):
-        low, high = layout.low[tile] - halo, layout.high[tile] + halo
-        # The columns are in the order of x.
-        first, end = np.searchsorted(middles[:, 0], [low[0], high[0]])
-        y = middles[first:end, 1]
-        held[tile] = occupancy.counts[first:end][(y >= low[1]) & (y < high[1])].sum()
-    return held
+    return count_within(occupancy, layout.low - halo, layout.high + halo)
 
 
 def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:

@@ -3,11 +3,12 @@
 A tile's core is a half-open rectangle of whole lattice columns, so which tile a point is in is
 decided by the same integers as in the survey: every finite point is in exactly one. The root of
 the tree is the smallest square of 2^n columns that holds the map and begins where the map does: a
-map of few points is one tile, wherever it lies.
+map of few points is one tile, wherever it lies. A square is cut in two halves by x, and these by y:
+where a half is small enough, it is a tile.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,14 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.compiled import compiled
-from tiling.morton import morton_before, morton_order
-from tiling.occupancy import FARTHEST, Occupancy
+from tiling.morton import morton_before, morton_order, parting_bits
+from tiling.occupancy import FARTHEST, Occupancy, count_within
 
 NO_TILE = -1
 """The tile of a point without finite coordinates, and of one that was not in the survey."""
 
+MOST_HELD = 2
+"""Beyond so many times the points a core may have, a tile is cut for what its halo holds."""
+
+_HALOS_WIDE = 2
+"""Widths of the halo; a tile no longer than this is mostly halo, and cutting it helps little."""
+
 Columns = NDArray[np.int64]
 Corners = NDArray[np.float64]
+_Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +161,7 @@ class Layout:
         )
 
 
-def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
+def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout:
     """Cut a map into tiles of at most so many points.
 
     Parameters
@@ -161,7 +169,10 @@ def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
     occupancy : Occupancy
         Of the whole map.
     max_points : int
-        Points in a core, at most; a single column that holds more stays whole.
+        Points in a core, at most; a single column that holds more stays whole. With its halo a
+        tile holds `MOST_HELD` times as many at most, unless it is hardly wider than the halo.
+    halo : float
+        Metres around each core that its work looks at.
 
     Returns
     -------
@@ -174,7 +185,19 @@ def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
     origin = occupancy.columns.min(axis=0)
     order = morton_order(occupancy.columns - origin)
     columns, counts = occupancy.columns[order], occupancy.counts[order]
-    starts = _leaf_starts(columns - origin, counts, max_points)
+    parting = parting_bits(columns - origin)
+
+    def too_large(places: NDArray[np.intp], starts: NDArray[np.intp], bit: int) -> _Flags:
+        """Tell which nodes, runs of some of the columns, must be cut."""
+        large = np.add.reduceat(counts[places], starts) > max_points
+        if 2 ** ((bit + 1) // 2) * occupancy.cell > _HALOS_WIDE * halo:
+            low = np.minimum.reduceat(columns[places], starts) * occupancy.cell
+            high = (np.maximum.reduceat(columns[places], starts) + 1) * occupancy.cell
+            held = count_within(occupancy, low - halo, high + halo)
+            large |= held > MOST_HELD * max_points
+        return large & (bit > 0)
+
+    starts = _leaf_starts(parting, too_large)
     return Layout(
         occupancy.cell,
         origin,
@@ -184,15 +207,22 @@ def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
     )
 
 
-def _leaf_starts(columns: Columns, counts: NDArray[np.int64], max_points: int) -> NDArray[np.intp]:
-    """Return where each leaf begins in columns in Morton order: a node is a run of them."""
+def _leaf_starts(
+    parting: NDArray[np.int64],
+    too_large: Callable[[NDArray[np.intp], NDArray[np.intp], int], _Flags],
+) -> NDArray[np.intp]:
+    """Return where each leaf begins in columns in Morton order: a node is a run of them.
+
+    Columns are in one node of the tree as long as their places on the curve agree in all bits from
+    a certain one on; `parting` is the highest in which each differs from the one before it.
+    """
     leaves: list[NDArray[np.intp]] = []
-    places = np.arange(len(columns))
-    for level in range(int(columns.max()).bit_length(), -1, -1):
-        nodes = columns[places] >> level
-        first = np.append(True, (nodes[1:] != nodes[:-1]).any(axis=1))
+    places = np.arange(len(parting))
+    for bit in range(int(parting.max(initial=-1)) + 1, -1, -1):
+        first = parting[places] >= bit
+        first[0] = True
         starts = np.flatnonzero(first)
-        ends = (np.add.reduceat(counts[places], starts) <= max_points) | (level == 0)
+        ends = ~too_large(places, starts, bit)
         leaves.append(places[starts[ends]])
         places = places[~ends[np.cumsum(first) - 1]]
         if not len(places):

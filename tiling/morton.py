@@ -39,6 +39,28 @@ def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.lexsort((low, _interleaved(columns >> _HALF)))
 
 
+def parting_bits(columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return in which bit of their place on the curve columns part from the one before.
+
+    Parameters
+    ----------
+    columns : (n, 2) int64 array
+        In their order along the curve, each once, from 0 to 2^53.
+
+    Returns
+    -------
+    (n,) int64 array
+        The highest bit that differs: 2 b for bit b of y, and 2 b + 1 for that of x; -1 for the
+        first column.
+    """
+    parting = np.full(len(columns), -1)
+    differences = (columns[1:] ^ columns[:-1]).astype(np.float64)
+    # The exponent of an integer is one more than its highest bit; that of zero is zero.
+    exponents = np.frexp(differences)[1].astype(np.int64)
+    parting[1:] = (2 * exponents - [1, 2]).max(axis=1)
+    return parting
+
+
 def _interleaved(columns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the bits of x and y, below 2^31, in turn."""
     return _spread(columns[:, 0]) << 1 | _spread(columns[:, 1])

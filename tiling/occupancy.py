@@ -63,6 +63,32 @@ def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
     return np.floor(np.clip(xyz[:, :2], -FARTHEST, FARTHEST) / cell).astype(np.int64)
 
 
+def count_within(
+    occupancy: Occupancy, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Count the points in boxes, a column counting whole where its middle is inside.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+    low, high : (n, 2) float64 arrays
+        The boxes: low <= x, y < high, metres; may be infinite.
+
+    Returns
+    -------
+    (n,) int64 array
+    """
+    totals = np.append(0, np.cumsum(occupancy.counts))
+    begins, ends = (_first_columns(edge, occupancy.cell) for edge in (low, high))
+    return np.asarray(_sums_within(occupancy.columns, totals, begins, ends))
+
+
+def _first_columns(edge: NDArray[np.float64], cell: float) -> Columns:
+    """Return the first column whose middle is at an edge or after it."""
+    # The middle is half a cell from where the column begins.
+    return np.ceil(np.clip(edge, -2 * FARTHEST, 2 * FARTHEST) / cell - 0.5).astype(np.int64)
+
+
 class ColumnCounter:
     """Counts points by column, and coarsens the lattice when too many columns are occupied.
 
@@ -214,3 +240,38 @@ def _count_columns(
             occupied += 1
         counts[slot] += added_counts[number]
     return len(added), occupied
+
+
+@compiled
+def _sums_within(
+    columns: Columns, totals: NDArray[np.int64], begins: Columns, ends: Columns
+) -> NDArray[np.int64]:
+    """Sum the counts of the columns in boxes, (B, 2); `totals` are those before each column."""
+    sums = np.zeros(len(begins), np.int64)
+    for box in range(len(begins)):
+        low, high = begins[box, 1], ends[box, 1]
+        place = _first_from(columns, begins[box, 0], low)
+        # One line of columns after the other: those of an x are a run, in the order of y.
+        while place < len(columns) and columns[place, 0] < ends[box, 0] and low < high:
+            x = columns[place, 0]
+            first = _first_from(columns, x, low)
+            end = _first_from(columns, x, high)
+            sums[box] += totals[end] - totals[first]
+            place = end
+            if place < len(columns) and columns[place, 0] == x:
+                place = _first_from(columns, x + 1, low)
+    return sums
+
+
+@compiled
+def _first_from(columns: Columns, x: np.int64, y: np.int64) -> int:
+    """Return the first column at or after (x, y) in lexicographic order."""
+    low, high = 0, len(columns)
+    while low < high:
+        middle = (low + high) // 2
+        before = columns[middle, 0] < x or (columns[middle, 0] == x and columns[middle, 1] < y)
+        if before:
+            low = middle + 1
+        else:
+            high = middle
+    return low
