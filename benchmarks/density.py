@@ -31,8 +31,9 @@ from sklearn.neighbors import KDTree
 
 from dynahull.kernels import hull_densities
 from dynahull.kernels.compilation import kernels
+from dynahull.kernels.growth import make_growth
 from dynahull.kernels.solve import Results, make_room
-from dynahull.kernels.tree import LEAF_SIZE, make_stack, make_tree
+from dynahull.kernels.tree import LEAF_SIZE, make_tree
 from tiling.formats import open_map
 
 Points = NDArray[np.float64]
@@ -159,8 +160,10 @@ class Kernel:
 
     def __init__(self, points: Points) -> None:
         self.compiled = kernels()
-        self.tree = make_tree(points, np.arange(len(points)))
-        self.build_seconds = timed(lambda: self.compiled.grow(self.tree, make_stack()))[1]
+        rows = np.arange(len(points))
+        self.tree, copy_seconds = timed(lambda: make_tree(points))
+        grow_seconds = timed(lambda: self.compiled.grow(self.tree, rows, make_growth()))[1]
+        self.build_seconds = copy_seconds + grow_seconds
         leaves = len(points) // LEAF_SIZE
         self.first = leaves // 3
         self.end = min(self.first + SAMPLE // LEAF_SIZE, leaves)

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from dynahull.compilation import compiling, numba_cache
+from dynahull.compilation import compiling, is_compiled, numba_cache
 from dynahull.kernels import solve
+from dynahull.kernels.growth import make_growth
 from dynahull.kernels.solve import Results, make_room
-from dynahull.kernels.tree import make_stack, make_tree
+from dynahull.kernels.tree import make_tree
 
 _ONE_AT_A_TIME = Lock()
 
@@ -30,6 +31,12 @@ def kernels() -> Kernels:
         return _kernels()
 
 
+def load_kernels() -> None:
+    """Load the kernels if they are compiled already; otherwise leave that to who needs them."""
+    if is_compiled(Path(__file__).parent):
+        kernels()
+
+
 @lru_cache(maxsize=1)
 def _kernels() -> Kernels:
     with (
@@ -40,14 +47,15 @@ def _kernels() -> Kernels:
 
 
 def _compile(cached: bool) -> Kernels:
-    tree, stack, room = (
-        make_tree(np.zeros((4, 3)), np.zeros(4, np.int64)),
-        make_stack(),
+    tree, rows, growth, room = (
+        make_tree(np.zeros((4, 3))),
+        np.zeros(4, np.int64),
+        make_growth(),
         make_room(4),
     )
     results = Results(np.zeros(4), np.zeros(4), np.zeros((4, 4), np.int64))
     queries = np.zeros(4, np.bool_)
-    grow_types = [numba.typeof(value) for value in (tree, stack)]
+    grow_types = [numba.typeof(value) for value in (tree, rows, growth)]
     solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, room, results)]
     options = {"nogil": True, "error_model": "numpy", "cache": cached, "_nrt": False}
     return Kernels(

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels.compilation import kernels
 from dynahull.kernels.exact import exact_hull_volume
+from dynahull.kernels.growth import make_growth
 from dynahull.kernels.solve import Results, make_room
-from dynahull.kernels.tree import LEAF_SIZE, make_stack, make_tree
+from dynahull.kernels.tree import LEAF_SIZE, make_tree
 from dynahull.kernels.vectors import INDEX_BITS
 
 _LEAVES_AT_A_TIME = 128
@@ -129,8 +130,8 @@ def _solve(
     leaves = -(-count // LEAF_SIZE)
     squared_reach = np.full(count, np.nan)
     compiled = kernels()
-    tree = make_tree(points, rows)
-    compiled.grow(tree, make_stack())
+    tree = make_tree(points)
+    compiled.grow(tree, np.require(rows, np.int64, ["C", "W"]), make_growth())
     wanted = np.ones(count, np.bool_) if queries is None else np.ascontiguousarray(queries)
     results = Results(
         np.empty(0) if density is None else density,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dynahull.hull import FLATNESS
 from dynahull.kernels.compiled import inlined
 from dynahull.kernels.lanes import aligned, padded
-from dynahull.kernels.vectors import largest, smallest
+from dynahull.kernels.vectors import extremes, largest
 
 STEP = 2.0**-50
 """The grid's step, in units of the frame."""
@@ -147,7 +147,8 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     for i in range(size):
         points.width[i] = dx[i] * bx + dy[i] * by + dz[i] * bz
         points.thickness[i] = dx[i] * cx + dy[i] * cy + dz[i] * cz
-    extent_3 = max(largest(points.thickness, size), -smallest(points.thickness, size))
+    lowest, highest = extremes(points.thickness, np.uint64(0), size)
+    extent_3 = max(highest, -lowest)
     if extent_3 <= FLATNESS * extent_1:
         return 0.0
     for i in range(size):

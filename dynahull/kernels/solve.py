@@ -17,9 +17,10 @@ from dynahull.kernels.candidates import (
 )
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
+from dynahull.kernels.growth import Growth, grow_tree
 from dynahull.kernels.hull import Surface, hull_volume, make_surface
 from dynahull.kernels.nearest import Nearest, keep_nearest, make_nearest, sort_nearest
-from dynahull.kernels.tree import LEAF_SIZE, Tree, grow_tree, middle_of_leaf, point_distance
+from dynahull.kernels.tree import LEAF_SIZE, Tree, middle_of_leaf, point_distance
 from dynahull.kernels.walk import search_tree
 
 _DIRECTION = (0.6180339887498949, 0.7548776662466927, 0.2192059139)
@@ -61,9 +62,9 @@ def make_room(k: int) -> Room:
     return Room(make_candidates(k), make_nearest(k), make_neighbourhood(k), make_surface(k))
 
 
-def grow(tree: Tree, stack: NDArray[np.int64]) -> None:
+def grow(tree: Tree, rows: NDArray[np.int64], growth: Growth) -> None:
     """Put points into kd-tree order, in place, and measure the boxes."""
-    grow_tree(tree, stack)
+    grow_tree(tree, rows, growth)
 
 
 def solve(

@@ -331,30 +331,41 @@ def box_distances(context: Any, boxes: Any, size: Any, place: Any, result: Any) 
 @intrinsic
 def largest(context: Any, values: Any, size: Any) -> Any:
     """Return the largest of the first values; there is one at least, and none is NaN."""
-    return values.dtype(values, size), _extreme("fmax")
 
-
-@intrinsic
-def smallest(context: Any, values: Any, size: Any) -> Any:
-    """Return the smallest of the first values; there is one at least, and none is NaN."""
-    return values.dtype(values, size), _extreme("fmin")
-
-
-def _extreme(operation: str) -> Callable[..., Any]:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
         data = loop.data(arguments[0])
-        first = loop.same(builder.load(data))
-        best = cgutils.alloca_once_value(builder, first.value)
+        return _extreme(loop, data, arguments[1], "fmax")
 
-        def body(index: Any) -> None:
-            inside = loop.is_before(loop.indices(index), arguments[1])
-            values = loop.load(data, index).where(inside, first)
-            so_far = Lanes(builder, builder.load(best))
-            better = values < so_far if operation == "fmin" else so_far < values
-            builder.store(values.where(better, so_far).value, best)
+    return values.dtype(values, size), generate
 
-        loop.run(arguments[1], body)
-        return loop.reduced(Lanes(builder, builder.load(best)), operation)
 
-    return generate
+@intrinsic
+def extremes(context: Any, values: Any, begin: Any, end: Any) -> Any:
+    """Return the smallest and the largest of a range of values, not empty, none of them NaN."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loop = VectorLoop(context, builder, signature.args[0])
+        begin, end = arguments[1:]
+        data, size = builder.gep(loop.data(arguments[0]), [begin]), builder.sub(end, begin)
+        both = [_extreme(loop, data, size, operation) for operation in ("fmin", "fmax")]
+        return context.make_tuple(builder, signature.return_type, both)
+
+    return types.UniTuple(values.dtype, 2)(values, begin, end), generate
+
+
+def _extreme(loop: VectorLoop, data: Any, size: Any, operation: str) -> Any:
+    builder = loop.builder
+    first = loop.same(builder.load(data))
+    best = cgutils.alloca_once_value(builder, first.value)
+    builder.store(first.value, best)
+
+    def body(index: Any) -> None:
+        inside = loop.is_before(loop.indices(index), size)
+        values = loop.load(data, index).where(inside, first)
+        so_far = Lanes(builder, builder.load(best))
+        better = values < so_far if operation == "fmin" else so_far < values
+        builder.store(values.where(better, so_far).value, best)
+
+    loop.run(size, body)
+    return loop.reduced(Lanes(builder, builder.load(best)), operation)
