@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -44,6 +45,17 @@ class Chunk:
     def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Chunk":
         """Return some of the points."""
         return Chunk(self.xyz[chosen], self.rows[chosen], self.core[chosen])
+
+
+def joined(chunks: Sequence[Chunk]) -> Chunk:
+    """Return the points of several chunks, one after the other."""
+    nothing = Chunk(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.bool_))
+    together = (nothing, *chunks)
+    return Chunk(
+        np.concatenate([chunk.xyz for chunk in together]),
+        np.concatenate([chunk.rows for chunk in together]),
+        np.concatenate([chunk.core for chunk in together]),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.atomic import atomic_file
-from tiling.chunk_store import Chunk, ChunkStore
+from tiling.chunk_store import Chunk, ChunkStore, joined
 from tiling.errors import ChunkError
 from tiling.pieces import read_tile
 
@@ -114,14 +114,8 @@ def read_cores(
         chunk = read_chunk(store, tile)
         flat = chunk.xyz[:, :2]
         parts.append(chunk.select(chunk.core & ((flat >= low) & (flat <= high)).all(axis=1)))
-    return _in_row_order(parts)
-
-
-def _in_row_order(parts: list[Chunk]) -> Chunk:
-    xyz = np.concatenate([np.empty((0, 3)), *(part.xyz for part in parts)])
-    rows = np.concatenate([np.empty(0, np.int64), *(part.rows for part in parts)])
-    core = np.concatenate([np.empty(0, np.bool_), *(part.core for part in parts)])
-    return Chunk(xyz, rows, core).select(np.argsort(rows))
+    together = joined(parts)
+    return together.select(np.argsort(together.rows))
 
 
 def _format(store: ChunkStore) -> _Format:

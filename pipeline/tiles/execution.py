@@ -38,9 +38,18 @@ ONE_THREAD = dict.fromkeys(
 
 @dataclass(frozen=True, slots=True)
 class TaskFailure:
-    """Why a task did not come to its end, in one line."""
+    """Why a task did not come to its end.
+
+    Attributes
+    ----------
+    reason : str
+        In one line.
+    short_of_memory : bool
+        Whether it would help to do less at a time.
+    """
 
     reason: str
+    short_of_memory: bool = False
 
 
 Task = Callable[[str, int], TaskReport]
@@ -74,7 +83,7 @@ class InProcess:
             try:
                 outcome = _guarded(task, folder, number)
             except OSError as error:
-                outcome = TaskFailure(_reason(error))
+                outcome = _failure(error)
             yield number, outcome
 
 
@@ -119,7 +128,7 @@ class OnDask:
             if future.status == "finished":
                 yield number, future.result()
             else:
-                yield number, TaskFailure(_reason(future.exception()))
+                yield number, _failure(future.exception())
             future.release()
             del future
 
@@ -134,13 +143,19 @@ def _guarded(task: Task, folder: str, number: int) -> Outcome:
     except OSError:
         raise
     except Exception as error:
-        return TaskFailure(_reason(error))
+        return _failure(error)
+
+
+def _failure(error: BaseException | None) -> TaskFailure:
+    # A worker that goes beyond its memory is killed, and its task with it.
+    starved = isinstance(error, MemoryError) or type(error).__name__ == "KilledWorker"
+    return TaskFailure(_reason(error), starved)
 
 
 def _reason(error: BaseException | None) -> str:
     name = type(error).__name__
     if name == "KilledWorker":
-        return "its workers died, probably for want of memory; try a smaller tiling.max_points"
+        return "its workers died, probably for want of memory"
     if name == "FutureCancelledError":
         return "the connection to the scheduler was lost"
     return " ".join(str(error).split()) or name

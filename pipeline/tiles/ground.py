@@ -11,10 +11,11 @@ from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.progress import SilentObserver
 from pipeline.borders import FreePoints, Region
+from pipeline.tiles.division import divided
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
-from tiling.chunk_store import Chunk
+from tiling.chunk_store import Chunk, joined
 from tiling.chunks import read_chunk, read_cores
 from tiling.layout import Layout
 
@@ -23,29 +24,31 @@ FREE_NAMES = ("xyz", "rows", "core")
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 
 
-def find_ground(job: Job, tile: int) -> TaskReport:
+def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
     """Label the ground of a tile's core, and keep the ground-free points of its region.
 
-    Kept as well are those of its points that the clusters are fitted on.
+    Kept as well are those of its points that the clusters are fitted on. Where the memory does not
+    suffice for the tile, `sides` x `sides` parts of it are done one after the other.
     """
     chunk = _surroundings(job, tile)
-    classes = None
-    if job.needs_classes:
-        classes = open_rows(job.rows_path("class"), np.uint8)[chunk.rows]
-    valid = valid_points(chunk.xyz)
-    parameters = job.configuration.method()
-    ground, above = set_ground_aside(chunk.xyz, valid, parameters, classes, SilentObserver())
-    labels = set_aside_labels(valid, ground, above)
-    inside = region_of(job, tile).holds(chunk.xyz)
-    free = chunk.select(inside & (labels == Label.STATIC))
-    core_rows = chunk.rows[chunk.core]
+    boxes = divided(region_of(job, tile), chunk.xyz, sides)
+    parts = [_labelled(job, chunk, box, sides) for box in boxes]
+    decided, labels = parts[0]
+    if len(parts) > 1:
+        decided = joined([part for part, _ in parts])
+        order = np.argsort(decided.rows)
+        decided = decided.select(order)
+        labels = np.concatenate([labels for _, labels in parts])[order]
+    free = decided.select(labels == Label.STATIC)
+    core_rows = decided.rows[decided.core]
     own = free.select(free.core)
     core_count = len(core_rows)
-    total = core_count if parameters.clustering.scope == "tile" else job.finite_count
-    sample = sample_rows(own.rows, total, parameters.clustering)
+    parameters = job.configuration.clustering
+    total = core_count if parameters.scope == "tile" else job.finite_count
+    sample = sample_rows(own.rows, total, parameters)
     arrays: dict[str, NDArray[Any]] = {
         "core_rows": core_rows,
-        "core_labels": labels[chunk.core],
+        "core_labels": labels[decided.core],
         "xyz": free.xyz,
         "rows": free.rows,
         "core": free.core,
@@ -54,6 +57,23 @@ def find_ground(job: Job, tile: int) -> TaskReport:
     }
     job.work.save("ground", tile, **arrays)
     return TaskReport(core_count, (len(own),))
+
+
+def _labelled(job: Job, chunk: Chunk, box: Region, sides: int) -> tuple[Chunk, NDArray[np.uint8]]:
+    """Return the points of a box and their labels; `chunk` holds all points that decide."""
+    points = chunk
+    if sides > 1:
+        flat, radius = chunk.xyz[:, :2], job.decision_radius
+        near = (flat >= box.low - radius) & (flat <= box.high + radius)
+        points = chunk.select(np.flatnonzero(near.all(axis=1)))
+    classes = None
+    if job.needs_classes:
+        classes = open_rows(job.rows_path("class"), np.uint8)[points.rows]
+    valid = valid_points(points.xyz)
+    parameters = job.configuration.method()
+    ground, above = set_ground_aside(points.xyz, valid, parameters, classes, SilentObserver())
+    inside = box.holds(points.xyz)
+    return points.select(inside), set_aside_labels(valid, ground, above)[inside]
 
 
 def region_of(job: Job, tile: int) -> Region:
@@ -83,12 +103,7 @@ def _surroundings(job: Job, tile: int) -> Chunk:
     near = layout.near(low, high)
     around = read_cores(store, near[near != tile].tolist(), low, high)
     around.core[:] = False
-    parts = (chunk.select(chunk.core), around)
-    together = Chunk(
-        np.concatenate([part.xyz for part in parts]),
-        np.concatenate([part.rows for part in parts]),
-        np.concatenate([part.core for part in parts]),
-    )
+    together = joined([chunk.select(chunk.core), around])
     return together.select(np.argsort(together.rows))
 
 
@@ -98,11 +113,11 @@ class TilesAround:
     Parameters
     ----------
     job : Job
-    tile : int
-        The tile whose others these are.
+    tile : int or None
+        The tile whose others these are; None for all tiles.
     """
 
-    def __init__(self, job: Job, tile: int) -> None:
+    def __init__(self, job: Job, tile: int | None) -> None:
         self._job = job
         self._layout: Layout = job.store.layout
         self._tile = tile

@@ -14,6 +14,7 @@ from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER
 from pipeline.borders import FreePoints, core_densities
 from pipeline.selection import Cut, ScoredPoints, find_cuts
+from pipeline.tiles.division import divided, widened
 from pipeline.tiles.ground import (
     FREE_NAMES,
     LABEL_NAMES,
@@ -28,33 +29,49 @@ from pipeline.tiles.work import TaskReport
 CUTS_FILE = "cuts.json"
 SCORE_NAMES = ("cluster", "density", "rows")
 
+_NEIGHBOURS_WITHIN = 2.0
+"""Metres around a part of a tile that most neighbours are found in; the others are looked for."""
 
-def score_tile(job: Job, tile: int) -> TaskReport:
+
+def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     """Find cluster and density of the ground-free points of a tile's core.
 
-    The report counts the points finished from further tiles, then those of each cluster.
+    Where the memory does not suffice for the tile, `sides` x `sides` parts of it are done one
+    after the other. The report counts the points finished from further tiles, then those of each
+    cluster.
     """
     xyz, rows, core = job.work.load("ground", tile, *FREE_NAMES)
     clusters = clusters_of(job, tile)
-    scores = core_densities(
-        FreePoints(xyz, rows),
-        core,
-        region_of(job, tile),
-        TilesAround(job, tile),
-        clusters,
-        job.configuration.method(),
-    )
+    region = region_of(job, tile)
+    # Around a part lies the rest of the tile, as other tiles lie around the tile.
+    others = TilesAround(job, tile if sides == 1 else None)
+    cluster, density = np.zeros(len(rows), np.int32), np.full(len(rows), np.nan)
+    finished_elsewhere = 0
+    for box in divided(region, xyz, sides):
+        around = widened(box, _NEIGHBOURS_WITHIN, region)
+        known = np.flatnonzero(around.holds(xyz))
+        own = core[known] & box.holds(xyz[known])
+        scores = core_densities(
+            FreePoints(xyz[known], rows[known]),
+            own,
+            around,
+            others,
+            clusters,
+            job.configuration.method(),
+        )
+        cluster[known[own]], density[known[own]] = scores.cluster, scores.density
+        finished_elsewhere += scores.finished_elsewhere
     job.work.save(
         "density",
         tile,
-        cluster=scores.cluster,
-        density=scores.density,
+        cluster=cluster[core],
+        density=density[core],
         rows=rows[core],
         centroids=clusters.centroids,
     )
-    counts = np.bincount(scores.cluster, minlength=len(clusters.centroids))
+    counts = np.bincount(cluster[core], minlength=len(clusters.centroids))
     points = int(job.store.layout.counts[tile])
-    return TaskReport(points, (scores.finished_elsewhere, *counts.tolist()))
+    return TaskReport(points, (finished_elsewhere, *counts.tolist()))
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:

@@ -3,19 +3,21 @@
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 from pipeline.errors import TasksFailedError
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import assemble_tile, cut_rows, survey_rows
-from pipeline.tiles.execution import Executor, TaskFailure
+from pipeline.tiles.division import SIDES
+from pipeline.tiles.execution import Executor, Outcome, TaskFailure
 from pipeline.tiles.ground import find_ground
 from pipeline.tiles.job import Job
 from pipeline.tiles.scoring import label_tile, score_tile
 from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import write_part
 
-TASKS: Mapping[str, Callable[[Job, int], TaskReport]] = {
+TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "survey": survey_rows,
     "cut": cut_rows,
     "chunk": assemble_tile,
@@ -26,6 +28,9 @@ TASKS: Mapping[str, Callable[[Job, int], TaskReport]] = {
 }
 """The stages whose work is shared out, in their order."""
 
+DIVISIBLE = ("ground", "density")
+"""Stages whose tasks can be done in parts, where the memory does not suffice for a whole tile."""
+
 _STATE_EVERY = 1.0
 """Seconds between two updates of what other terminals are told."""
 
@@ -33,11 +38,14 @@ _NAMED = 10
 """Failed tasks that an error names one by one."""
 
 
-def do_task(stage: str, folder: str, number: int) -> TaskReport:
-    """Do one task of a run, and mark it as done. This is what workers are given."""
+def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
+    """Do one task of a run, and mark it as done. This is what workers are given.
+
+    With `sides` above one it is done in so many parts each way, see `pipeline.tiles.division`.
+    """
     job = Job.open(folder)
     begun = time.perf_counter()
-    report = TASKS[stage](job, number)
+    report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
     job.work.finish(stage, number, report)
     return report
@@ -47,6 +55,8 @@ def do_stage(
     job: Job, executor: Executor, observer: StageObserver, stage: str, points: Sequence[int]
 ) -> Iterator[tuple[int, TaskReport]]:
     """Do the tasks of a stage that are not done yet, the largest first.
+
+    Tasks that the memory did not suffice for are done again in parts, when the others are done.
 
     Parameters
     ----------
@@ -84,11 +94,12 @@ def do_stage(
         yield number, earlier
     state.begin()
     failures: dict[int, str] = {}
-    for number, outcome in executor.run(partial(do_task, stage), str(job.root), waiting):
+    for number, outcome in _outcomes(job, executor, observer, stage, waiting):
         if isinstance(outcome, TaskFailure):
-            failures[number] = outcome.reason
-            state.fail(number, outcome.reason)
-            observer.warn(f"{stage} task {number} failed: {outcome.reason}")
+            advice = "; try a smaller tiling.max_points" if outcome.short_of_memory else ""
+            failures[number] = outcome.reason + advice
+            state.fail(number, failures[number])
+            observer.warn(f"{stage} task {number} failed: {failures[number]}")
             continue
         state.count(outcome)
         observer.advance(outcome.points)
@@ -96,6 +107,26 @@ def do_stage(
     state.write()
     if failures:
         raise TasksFailedError(_failure_line(stage, failures))
+
+
+def _outcomes(
+    job: Job, executor: Executor, observer: StageObserver, stage: str, waiting: Sequence[int]
+) -> Iterator[tuple[int, Outcome]]:
+    """Do tasks; those that memory did not suffice for again, in parts, when the others are done."""
+    divisions = SIDES if stage in DIVISIBLE else ()
+    for sides, next_sides in pairwise((1, *divisions, None)):
+        if not waiting:
+            return
+        task = partial(do_task, stage) if sides == 1 else partial(do_task, stage, sides=sides)
+        starved = []
+        for number, outcome in executor.run(task, str(job.root), waiting):
+            if next_sides and isinstance(outcome, TaskFailure) and outcome.short_of_memory:
+                starved.append(number)
+                parts = f"it is done again in {next_sides**2} parts"
+                observer.warn(f"{stage} task {number}: {outcome.reason}; {parts}")
+            else:
+                yield number, outcome
+        waiting = starved
 
 
 def _failure_line(stage: str, failures: Mapping[int, str]) -> str:
