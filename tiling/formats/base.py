@@ -7,7 +7,7 @@ output bit for bit.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +20,7 @@ from tiling.errors import PartsError, PointCountError, RowRangeError
 from tiling.formats.grid import Grid
 
 if TYPE_CHECKING:
+    from tiling.formats.extension import ExtendedFormat
     from tiling.formats.parts import PartWriter
 
 DEFAULT_BATCH = 500_000
@@ -66,6 +67,8 @@ class MapDescription:
         The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
     has_classification : bool
         Whether the batches carry ASPRS classes.
+    largest_class : int
+        The largest class that a point can have, where they have classes.
     grid : Grid or None
         The grid that all coordinates are on (LAS).
     notes : tuple of str
@@ -79,6 +82,7 @@ class MapDescription:
     fields: tuple[Field, ...]
     crs: str | None = None
     has_classification: bool = False
+    largest_class: int = 255
     grid: Grid | None = None
     notes: tuple[str, ...] = ()
 
@@ -245,6 +249,21 @@ class MapReader(ABC):
     @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map of `point_count` points in this map's format, header and all."""
+
+    @abstractmethod
+    def extended(self, fields: Sequence[Field]) -> "ExtendedFormat":
+        """Return what writes maps like this one whose points have further fields.
+
+        Parameters
+        ----------
+        fields : sequence of Field
+            Of one value each, by names that the map does not have.
+
+        Raises
+        ------
+        MapFormatError
+            When the map has no place for them.
+        """
 
     @property
     def writes_parts(self) -> bool:

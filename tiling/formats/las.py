@@ -7,7 +7,8 @@ laspy names them, and coordinates are computed as laspy computes them.
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO
@@ -20,9 +21,10 @@ from tiling.errors import MapFormatError
 from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
 from tiling.formats.grid import Grid, integers_in_records
 from tiling.formats.las_crs import crs_name
+from tiling.formats.las_extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
+from tiling.formats.las_extra_bytes import extra_fields
 from tiling.formats.las_header import (
     AT_WAVEFORMS,
-    RECORD_LENGTHS,
     WAVEFORMS_EXTERNAL,
     LasHeader,
     read_header,
@@ -44,21 +46,6 @@ from tiling.formats.parts import PartWriter, SinglePartWriter
 
 _LARGEST_BATCH = 1 << 28
 """Bytes of records in a batch, however many points the caller allows."""
-
-# Types of extra bytes, from code 1 on; codes 11 to 30 are pairs and triples of them.
-_EXTRA_TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
-)
-_EXTRA_DESCRIPTOR = 192
 
 
 class LasReader(MapReader):
@@ -125,6 +112,14 @@ class LasReader(MapReader):
             return super().part_writer(path, point_count)
         return LasPartWriter(path, point_count, self._header)
 
+    def extended(self, fields: Sequence[Field]) -> ExtendedLas:
+        """Return what writes further extra bytes; see `MapReader.extended`."""
+        model = copy(self)
+        model._header = extended_header(self._header, fields)
+        if model._header.compressed:
+            model._compression = read_compression(model._header)
+        return ExtendedLas(model, fields, self._header)
+
     def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:
             return _RawPoints(file, self._header, rows.start)
@@ -178,9 +173,10 @@ def _describe(header: LasHeader) -> MapDescription:
         format=kind,
         suffix=".laz" if header.compressed else ".las",
         point_count=header.point_count,
-        fields=(*_standard_fields(header), *_extra_fields(header)),
+        fields=(*_standard_fields(header), *extra_fields(header)),
         crs=crs_name(header.vlrs + header.evlrs),
         has_classification=True,
+        largest_class=LAST_SHORT_CLASS if header.point_format < 6 else 255,
         grid=Grid(header.scales, header.offsets),
         notes=tuple(_notes(header)),
     )
@@ -216,22 +212,3 @@ def _standard_fields(header: LasHeader) -> Iterator[Field]:
     for dimension in PointFormat(header.point_format).standard_dimensions:
         dtype = dimension.dtype
         yield Field(dimension.name, "uint8" if dtype is None else dtype.name)
-
-
-def _extra_fields(header: LasHeader) -> Iterator[Field]:
-    """Name the extra bytes from their VLR, and those that it does not describe `ExtraBytes`."""
-    left = header.record_length - RECORD_LENGTHS[header.point_format]
-    described = next((r.data for r in header.vlrs if r.names("LASF_Spec", 4)), b"")
-    for at in range(0, len(described) - _EXTRA_DESCRIPTOR + 1, _EXTRA_DESCRIPTOR):
-        code, options = described[at + 2], described[at + 3]
-        name = described[at + 4 : at + 36].split(b"\0")[0].decode("utf-8", "replace")
-        field = Field(name, "uint8", options)
-        if 1 <= code <= 30:
-            field = Field(name, _EXTRA_TYPES[(code - 1) % 10], (code - 1) // 10 + 1)
-        size = np.dtype(field.dtype).itemsize * field.count
-        if code > 30 or size == 0 or size > left:
-            break
-        left -= size
-        yield field
-    if left:
-        yield Field("ExtraBytes", "uint8", left)

@@ -127,6 +127,11 @@ class LasHeader:
         return len(self.block)
 
     @property
+    def public_size(self) -> int:
+        """Bytes of the public header block."""
+        return int(struct.unpack_from("<H", self.block, AT_HEADER_SIZE)[0])
+
+    @property
     def global_encoding(self) -> int:
         """Bit field of the header."""
         return int(struct.unpack_from("<H", self.block, AT_GLOBAL_ENCODING)[0])
@@ -165,7 +170,7 @@ def read_header(path: Path) -> LasHeader:
         scales, offsets = _check_grid(path, header)
         file.seek(0)
         block = file.read(points_offset)
-        vlrs = _split_vlrs(path, block)
+        vlrs = read_vlrs(path, block)
         evlrs = _read_evlrs(path, file, file_size, header, minor, points_offset)
         waveforms = _find_waveforms(file, file_size, header, minor, points_offset)
     return LasHeader(
@@ -283,7 +288,7 @@ def _check_grid(
     return scales, offsets
 
 
-def _split_vlrs(path: Path, block: bytes) -> tuple[VariableLengthRecord, ...]:
+def read_vlrs(path: Path, block: bytes) -> tuple[VariableLengthRecord, ...]:
     """Split what lies between the public header and the points into its records."""
     (start,) = struct.unpack_from("<H", block, AT_HEADER_SIZE)
     (count,) = struct.unpack_from("<I", block, AT_VLR_COUNT)

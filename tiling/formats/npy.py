@@ -1,6 +1,8 @@
 """NumPy maps in one .npy file: an (N, 3 or more) array, or one with fields x, y and z."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,6 +17,7 @@ from tiling.formats.base import (
     MapWriter,
     PointBatch,
 )
+from tiling.formats.extension import ExtendedFormat, ExtendedRecords
 from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
 from tiling.formats.parts import PartWriter, SinglePartWriter
 
@@ -79,6 +82,19 @@ class NpyReader(MapReader):
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an array like this one; see `MapReader.writer`."""
         return SinglePartWriter(self.part_writer(path, point_count))
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further fields or columns; see `MapReader.extended`."""
+        model = copy(self)
+        header = self._header.extended(fields)
+        if header is None:
+            expected = "fields with names, or columns of floating point numbers, to add others to"
+            raise MapFormatError(self._path, expected, str(self._header), at="the header")
+        model._header = header
+        if not header.dtype.names:
+            # A column has the type of the others.
+            fields = [replace(field, dtype=header.dtype.name) for field in fields]
+        return ExtendedRecords(model, fields, "<" if header.dtype.names else header.dtype.str[0])
 
     @property
     def writes_parts(self) -> bool:

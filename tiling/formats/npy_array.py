@@ -114,6 +114,31 @@ class ArrayHeader:
             for each in self.dtype.names
         )
 
+    def extended(self, fields: Sequence[Field]) -> "ArrayHeader | None":
+        """Return the header of rows with further fields, None where they have no place.
+
+        They are fields of a structured array, and columns of one of floating point numbers.
+        """
+        if self.dtype.names:
+            head = [(name, self.dtype.fields[name]) for name in self.dtype.names]  # type: ignore[index]
+            at = self.dtype.itemsize
+            offsets = [found[1] for _, found in head]
+            for field in fields:
+                offsets.append(at)
+                at += np.dtype(field.dtype).itemsize
+            dtype = np.dtype(
+                {
+                    "names": [*self.dtype.names, *(field.name for field in fields)],
+                    "formats": [*(found[0] for _, found in head), *(f.dtype for f in fields)],
+                    "offsets": offsets,
+                    "itemsize": at,
+                }
+            )
+            return replace(self, dtype=dtype, description=np.lib.format.dtype_to_descr(dtype))
+        if self.dtype.kind != "f" or len(self.shape) != 2:
+            return None
+        return replace(self, shape=(self.shape[0], self.shape[1] + len(fields)))
+
     def encode(self, row_count: int) -> bytes:
         """Return the header of an array like this one, with `row_count` rows."""
         text = repr(

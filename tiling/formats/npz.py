@@ -3,8 +3,9 @@
 import shutil
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -15,12 +16,14 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
+    Field,
     MapDescription,
     MapReader,
     MapWriter,
     PointBatch,
 )
 from tiling.formats.coordinates import COORDINATES
+from tiling.formats.extension import ExtendedFormat, joined, packed
 from tiling.formats.npy import array_fields
 from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
@@ -129,6 +132,24 @@ class NpzReader(MapReader):
         """Open a writer of an archive like this one; see `MapReader.writer`."""
         return _NpzWriter(path, point_count, self._path, self._members)
 
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further arrays; see `MapReader.extended`."""
+        taken = {member.name for member in self._members}
+        members = list(self._members)
+        first = self._members[0].info
+        for field in fields:
+            if field.name in taken:
+                expected = f"no array {field.name!r}, which is to be added"
+                raise MapFormatError(self._path, expected, "one")
+            info = zipfile.ZipInfo(f"{field.name}.npy", first.date_time)
+            info.compress_type = first.compress_type
+            dtype = np.dtype(field.dtype).newbyteorder("<")
+            header = ArrayHeader(dtype.str, dtype, False, (0,), version=1, size=0)
+            members.append(_Member(info, field.name, header, is_per_point=True))
+        model = copy(self)
+        model._members = tuple(members)
+        return _ExtendedArrays(model, fields)
+
     def _xyz(self, arrays: dict[str, NDArray[np.void]]) -> NDArray[np.float64]:
         headers = dict(self._columns)
         names = self._coordinates
@@ -139,6 +160,27 @@ class NpzReader(MapReader):
             for column, name in enumerate(names):
                 xyz[:, column] = arrays[name].view(headers[name].dtype)
         return xyz
+
+
+class _ExtendedArrays(ExtendedFormat):
+    """Archives of points with further arrays."""
+
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> NDArray[Any]:
+        """Return the records with the values; see `ExtendedFormat.extend`."""
+        del classification
+        head = batch.records.dtype
+        tail = packed(self.fields, values)
+        count = len(head.names)
+        further = [
+            (f"array {count + n}", f"V{np.dtype(field.dtype).itemsize}")
+            for n, field in enumerate(self.fields)
+        ]
+        return joined(batch.records, tail).view(np.dtype([*head.descr, *further]))
 
 
 class _NpzWriter(MapWriter):

@@ -1,9 +1,10 @@
 """Parquet maps: columns x, y and z and whatever else, read and written through pyarrow."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from tiling.formats.base import (
     only_rows,
 )
 from tiling.formats.coordinates import coordinate_names
+from tiling.formats.extension import ExtendedFormat
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 _ARROW_SCHEMA = b"ARROW:schema"
@@ -190,6 +192,17 @@ class ParquetReader(MapReader):
         """Open a writer of a table like this one; see `MapReader.writer`."""
         return _ParquetWriter(path, point_count, self._schema, self._layout)
 
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further columns; see `MapReader.extended`."""
+        model = copy(self)
+        for field in fields:
+            kind = pa.from_numpy_dtype(np.dtype(field.dtype))
+            model._schema = model._schema.append(pa.field(field.name, kind))
+        codec = next(iter(self._layout.codecs.values()), "SNAPPY")
+        codecs = {**self._layout.codecs, **{field.name: codec for field in fields}}
+        model._layout = replace(self._layout, codecs=codecs)
+        return _ExtendedTable(model, fields)
+
     def _check_column(self, name: str) -> None:
         if self._schema.names.count(name) != 1:
             raise MapFormatError(self._path, f"one column {name}", "several", at="the schema")
@@ -198,6 +211,23 @@ class ParquetReader(MapReader):
             raise MapFormatError(
                 self._path, f"numbers in column {name}", f"type {kind}", at="the schema"
             )
+
+
+class _ExtendedTable(ExtendedFormat):
+    """Tables of points with further columns."""
+
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> pa.Table:
+        """Return the rows with the values; see `ExtendedFormat.extend`."""
+        del classification
+        table = batch.records
+        for field, column in zip(self.fields, values, strict=True):
+            table = table.append_column(field.name, pa.array(column.astype(field.dtype)))
+        return table
 
 
 class _ParquetWriter(MapWriter):

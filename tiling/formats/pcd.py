@@ -12,7 +12,9 @@ decompressed to, and compressed from, a temporary file of the size of its points
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,14 +23,25 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats import lzf
-from tiling.formats.base import MapDescription, MapReader, MapWriter, PointBatch, only_rows
+from tiling.formats.base import (
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+    only_rows,
+)
 from tiling.formats.column_spool import ColumnSpool
+from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.pcd_header import PcdField, PcdHeader, read_header
 from tiling.formats.text_rows import RowLayout, read_rows
 
 _SIZES = struct.Struct("<II")
 """What precedes compressed data: their size, and that of the columns."""
+
+_PCL_TYPES = {"label": "uint32"}
+"""Types that fields must have for the Point Cloud Library to find them (`PointXYZL`)."""
 
 
 class PcdReader(MapReader):
@@ -99,6 +112,18 @@ class PcdReader(MapReader):
         if self._header.encoding != "binary":
             return super().part_writer(path, point_count)
         return PcdBinaryParts(path, point_count, self._header)
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further fields; see `MapReader.extended`."""
+        fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
+        model = copy(self)
+        model._header = self._header.extended(
+            [field.name for field in fields], [field.dtype for field in fields]
+        )
+        model._stored = (*self._stored, *model._header.fields[-len(fields) :])
+        if self._header.encoding == "ascii":
+            return ExtendedText(model, fields)
+        return ExtendedRecords(model, fields)
 
     def _check_size(self, size: int) -> None:
         """Compare the points announced with the bytes that follow the header."""

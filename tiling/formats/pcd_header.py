@@ -6,9 +6,12 @@ COUNT, SIZE, TYPE and POINTS, or say COLUMNS for FIELDS.
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
+
+import numpy as np
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import Field
@@ -121,6 +124,33 @@ class PcdHeader:
             _COUNT_LINE.sub(lambda found: b"%s%d" % (found[1], counts[found[2]]), line)
             for line in self.lines
         )
+
+    def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PcdHeader":
+        """Return the header of points with further fields of one value each."""
+        fields, offset = list(self.fields), self.record_size
+        for name, dtype in zip(names, dtypes, strict=True):
+            size = np.dtype(dtype).itemsize
+            fields.append(PcdField(name, dtype, size, 1, offset))
+            offset += size
+        kinds = {dtype: kind for (kind, _), dtype in _TYPES.items()}
+        # Old files lack some of these lines; with fields of other types they need them.
+        words = {
+            "FIELDS": [field.name for field in fields],
+            "SIZE": [str(field.size) for field in fields],
+            "TYPE": [kinds[field.dtype] for field in fields],
+            "COUNT": [str(field.count) for field in fields],
+        }
+        lines: list[bytes] = []
+        for line in self.lines:
+            keyword = (line.split() or [b""])[0].decode("latin-1").replace("COLUMNS", "FIELDS")
+            if keyword == "FIELDS":
+                ending = line[len(line.rstrip()) :]
+                lines += [
+                    f"{name} {' '.join(values)}".encode() + ending for name, values in words.items()
+                ]
+            elif keyword not in words:
+                lines.append(line)
+        return replace(self, lines=tuple(lines), fields=tuple(fields))
 
     def described_fields(self) -> tuple[Field, ...]:
         """Return the fields in the terms that all formats share."""

@@ -1,6 +1,7 @@
 """PLY maps: ASCII and binary of both byte orders, with any properties and further elements."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,6 +18,7 @@ from tiling.formats.base import (
     only_rows,
 )
 from tiling.formats.coordinates import coordinate_names
+from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.ply_header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply_rows import open_rows
@@ -133,6 +135,17 @@ class PlyReader(MapReader):
         if not self.writes_parts:
             return super().part_writer(path, point_count)
         return _PlyParts(path, point_count, self._header, self._kept_elements())
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further properties; see `MapReader.extended`."""
+        self._kept_elements()  # found by this header, the one of the file
+        model = copy(self)
+        model._header = self._header.extended(
+            [field.name for field in fields], [field.dtype for field in fields]
+        )
+        if self._header.encoding == "ascii":
+            return ExtendedText(model, fields)
+        return ExtendedRecords(model, fields, self._header.byte_order)
 
     def _check_size(self) -> None:
         """Compare the counts of the header with the size of the file."""

@@ -5,7 +5,8 @@ with a width (`int8`, `float32`) came later and mean the same.
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -113,6 +114,11 @@ class PlyHeader:
     size: int
 
     @property
+    def byte_order(self) -> str:
+        """Of binary records, as NumPy writes it; that of this machine for text."""
+        return _BYTE_ORDERS[self.encoding] or "="
+
+    @property
     def vertex(self) -> PlyElement:
         """The element that holds the points."""
         return next(element for element in self.elements if element.name == VERTEX)
@@ -121,6 +127,27 @@ class PlyHeader:
     def dropped(self) -> tuple[PlyElement, ...]:
         """The elements that cannot survive when vertices are removed."""
         return tuple(e for e in self.elements if e.name != VERTEX and e.count and e.names_vertices)
+
+    def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PlyHeader":
+        """Return the header of vertices with further properties of one number each."""
+        further = tuple(
+            PlyProperty(name, np.dtype(self.byte_order + np.dtype(dtype).str[1:]))
+            for name, dtype in zip(names, dtypes, strict=True)
+        )
+        types = {code: word for word, code in reversed(_TYPES.items())}
+        last = max(number for number, owner in enumerate(self.owners) if owner == VERTEX)
+        ending = self.lines[last][len(self.lines[last].rstrip()) :]
+        lines = [
+            f"property {types[each.dtype.str[1:]]} {each.name}".encode() + ending
+            for each in further
+        ]
+        vertex = replace(self.vertex, properties=(*self.vertex.properties, *further))
+        return replace(
+            self,
+            lines=(*self.lines[: last + 1], *lines, *self.lines[last + 1 :]),
+            owners=(*self.owners[: last + 1], *[VERTEX] * len(lines), *self.owners[last + 1 :]),
+            elements=tuple(vertex if each.name == VERTEX else each for each in self.elements),
+        )
 
     def encode(self, vertex_count: int) -> bytes:
         """Return the same header for `vertex_count` vertices, without the dropped elements."""

@@ -5,7 +5,7 @@ rounded, reformatted or lost. Every value must still be a number; only the three
 converted, by Arrow, whose result is the float64 nearest to the text.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -55,6 +55,17 @@ class TextRows:
 
     def __getitem__(self, chosen: NDArray[np.bool_] | slice) -> "TextRows":
         return TextRows(self.text, self.starts[chosen], self.stops[chosen])
+
+    def with_words(self, words: Sequence[bytes]) -> "TextRows":
+        """Return the rows with some words behind the last value of each."""
+        text = self.text.tobytes()
+        rows = []
+        for start, stop, more in zip(self.starts, self.stops, words, strict=True):
+            row = text[start:stop]
+            content = row.rstrip()
+            rows.append(b"%b %b%b" % (content, more, row[len(content) :].lstrip(b" \t")))
+        bounds = np.cumsum([0, *map(len, rows)], dtype=np.int64)
+        return TextRows(np.frombuffer(b"".join(rows), np.uint8), bounds[:-1], bounds[1:])
 
     def tobytes(self) -> bytes:
         """Return the rows' text, one row after the other."""

@@ -1,0 +1,164 @@
+"""Maps like another, whose points have further fields behind their own.
+
+An `ExtendedFormat` writes them, and extends points that the reader of the other map gives. What a
+point had stays as it was stored; new values stand behind it, of the types that the format has.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.formats.base import Field, MapReader, MapWriter, PointBatch
+from tiling.formats.parts import PartWriter
+from tiling.formats.text_rows import TextRows
+
+
+class ExtendedFormat(ABC):
+    """How maps like another are written, with further fields.
+
+    Parameters
+    ----------
+    model : MapReader
+        Whose writers write the extended points. It describes them, and is never read from.
+    fields : sequence of Field
+        The further fields, each of one value.
+    """
+
+    def __init__(self, model: MapReader, fields: Sequence[Field]) -> None:
+        self._model = model
+        self.fields = tuple(fields)
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of extended points; see `MapReader.writer`."""
+        return self._model.writer(path, point_count)
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether several processes can write one output at once; see `MapReader.part_writer`."""
+        return self._model.writes_parts
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer of extended points in parts; see `MapReader.part_writer`."""
+        return self._model.part_writer(path, point_count)
+
+    @abstractmethod
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> Any:
+        """Return the records of a batch with further values, for the writers.
+
+        Parameters
+        ----------
+        batch : PointBatch
+            From the reader of the map that is extended.
+        values : sequence of (n,) arrays
+            One for each of `fields`.
+        classification : (n,) uint8 array, optional
+            Classes that take the place of the points' own, where the format has them; elsewhere
+            they are not looked at.
+        """
+
+
+class ExtendedRecords(ExtendedFormat):
+    """Records that are packed bytes: the values follow, packed, in the file's byte order.
+
+    Parameters
+    ----------
+    model, fields
+        As for `ExtendedFormat`.
+    byte_order : str
+        `"<"` or `">"`.
+    """
+
+    def __init__(self, model: MapReader, fields: Sequence[Field], byte_order: str = "<") -> None:
+        super().__init__(model, fields)
+        self._byte_order = byte_order
+
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> NDArray[Any]:
+        """Return the records with the values; see `ExtendedFormat.extend`."""
+        del classification
+        tail = packed(self.fields, values, self._byte_order)
+        if batch.records.dtype == object:  # records of no fixed size, as bytes
+            longer = np.empty(len(tail), dtype=object)
+            longer[:] = [
+                record + more
+                for record, more in zip(batch.records, rows_of_bytes(tail), strict=True)
+            ]
+            return longer
+        return joined(batch.records, tail)
+
+
+class ExtendedText(ExtendedFormat):
+    """Rows of text: the values follow on the line, in as many digits as tell them from others."""
+
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> TextRows:
+        """Return the rows with the values; see `ExtendedFormat.extend`."""
+        del classification
+        columns = [
+            column.astype(field.dtype).tolist()
+            for field, column in zip(self.fields, values, strict=True)
+        ]
+        words = [" ".join(map(repr, row)).encode() for row in zip(*columns, strict=True)]
+        return batch.records.with_words(words)
+
+
+def packed(
+    fields: Sequence[Field], values: Sequence[NDArray[Any]], byte_order: str = "<"
+) -> NDArray[Any]:
+    """Pack values of some fields into records of their own.
+
+    Returns
+    -------
+    (n,) structured array
+    """
+    dtype = np.dtype([(field.name, byte_order + np.dtype(field.dtype).str[1:]) for field in fields])
+    records = np.empty(len(values[0]), dtype=dtype)
+    for field, column in zip(fields, values, strict=True):
+        records[field.name] = column
+    return records
+
+
+def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
+    """Put the bytes of each of some records before those of the record beside it.
+
+    Parameters
+    ----------
+    head, tail : (n,) arrays
+        Of any fixed-size types.
+
+    Returns
+    -------
+    (n,) void array
+    """
+    rows = np.empty((len(head), head.dtype.itemsize + tail.dtype.itemsize), dtype=np.uint8)
+    rows[:, : head.dtype.itemsize] = bytes_of(head)
+    rows[:, head.dtype.itemsize :] = bytes_of(tail)
+    return rows.view(f"V{rows.shape[1]}")[:, 0]
+
+
+def bytes_of(records: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the bytes of records, (n, size)."""
+    size = records.dtype.itemsize
+    return np.ascontiguousarray(records).view(np.uint8).reshape(len(records), size)
+
+
+def rows_of_bytes(records: NDArray[Any]) -> list[bytes]:
+    """Return the bytes of each record."""
+    return [record.tobytes() for record in records]
