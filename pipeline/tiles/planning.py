@@ -12,9 +12,12 @@ from pipeline.progress import StageObserver
 from pipeline.run import open_job, workers_for
 from pipeline.tiles.cleaning import cut_into_chunks
 from pipeline.tiles.job import CHUNKS_FOLDER
-from pipeline.tiles.work import WORK_FOLDER, remove_work
+from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 from tiling.survey import survey
+
+_PRODUCTS = ("chunks", "store.json")
+"""What `tile` leaves; a folder that has the last of them is whole."""
 
 
 def plan_map(
@@ -60,24 +63,34 @@ def tile_map(
     TilingError, PipelineError
         With no chunk in the folder.
     """
-    if output.exists() and any(path.name != WORK_FOLDER for path in output.iterdir()):
-        raise OutputError(f"{output}: expected an empty folder for the chunks; choose another -o")
     paths = find_map_files(maps)
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
     try:
         with locked_folder(output):
+            _take_back(output, work / CHUNKS_FOLDER)
+            if {path.name for path in output.iterdir()} - {WORK_FOLDER, REMOVED_FOLDER}:
+                raise OutputError(
+                    f"{output}: expected an empty folder for the chunks; choose another -o"
+                )
             job = open_job(work, paths, content_hash(paths), configuration, False, observer)
-            with workers_for(configuration) as executor:
+            with workers_for(job) as executor:
                 cut_into_chunks(
                     job, executor, observer, lambda plan: check_plan(plan, configuration, output)
                 )
             observer.finish()
             tiles = len(job.store.layout)
-            for name in ("chunks", "store.json"):
+            for name in _PRODUCTS:
                 (work / CHUNKS_FOLDER / name).rename(output / name)
             remove_work(work)
     finally:
         if not any(output.iterdir()):
             output.rmdir()
     return tiles
+
+
+def _take_back(output: Path, work: Path) -> None:
+    """Take back what a run published that was killed before it had ended."""
+    for name in _PRODUCTS:
+        if work.is_dir() and (output / name).exists() and not (work / name).exists():
+            (output / name).rename(work / name)

@@ -2,10 +2,14 @@
 
 import json
 import logging
+import os
 import re
 import shutil
+import signal
+import subprocess
 import sys
 from collections import namedtuple
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -28,6 +32,7 @@ SMALL = [
     "execution.workers=1",
 ]
 WORK = ".dynahull-work"
+PROJECT = Path(__file__).resolve().parents[2]
 
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
@@ -251,6 +256,44 @@ class TestTile:
         monkeypatch.setitem(stages.TASKS, "chunk", counting)
         assert call("tile", map_file, "-o", "out")[0] == 0
         assert done == [3]
+
+    @pytest.mark.parametrize("moment", ["chunks", "store.json", WORK])
+    @pytest.mark.parametrize("other_map", [False, True])
+    def test_killed_while_it_publishes_it_goes_on(
+        self, moment, other_map, map_file, tmp_path, call
+    ):
+        killing = f"""
+import os, signal
+from pathlib import Path
+rename = Path.rename
+def killed(self, target):
+    rename(self, target)
+    if self.name == {moment!r}:
+        os.kill(os.getpid(), signal.SIGKILL)
+Path.rename = killed
+from pipeline.cli import main
+main()
+"""
+        settings = [each for setting in SMALL for each in ("--set", setting)]
+        arguments = ["tile", str(map_file), "-o", "out", *settings]
+        ended = subprocess.run([sys.executable, "-c", killing, *arguments], cwd=tmp_path,
+                               env=os.environ | {"PYTHONPATH": str(PROJECT)}, check=False,
+                               capture_output=True)  # fmt: skip
+        assert ended.returncode == -signal.SIGKILL
+        if other_map:
+            np.save(map_file, np.load(map_file) * [1, 1, 0.5])
+        if moment == WORK:  # all but the removal of the work was done
+            assert call("clean", "out")[0] == 0
+            assert {path.name for path in (tmp_path / "out").iterdir()} == {"chunks", "store.json"}
+            return
+        assert call("tile", map_file, "-o", "out")[0] == 0
+        assert call("tile", map_file, "-o", "whole")[0] == 0
+        found, expected = (
+            {path.relative_to(tmp_path / name): path.read_bytes()
+             for path in (tmp_path / name).rglob("*") if path.is_file()}
+            for name in ("out", "whole")
+        )  # fmt: skip
+        assert found == expected
 
 
 class TestStatusAndClean:
