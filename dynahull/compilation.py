@@ -1,7 +1,7 @@
 """Compiled code is kept for a machine: made once, by whoever comes first, for every later process.
 
-The code lies in a folder of its own, named after the text of the sources it was made from: an
-upgrade or an edit never meets stale code. Who comes first compiles under a lock, and says so; the
+The code lies in a folder of its own, named after the sources it was made from: an upgrade or an
+edit never meets stale code, and two installations never overwrite each other's. Who comes first compiles under a lock, and says so; the
 others wait for it and read what it wrote. Where no folder can be written, each process compiles.
 """
 
@@ -66,7 +66,7 @@ def compiling(what: str, sources: Path) -> Iterator[Path | None]:
         )
         yield None
         return
-    done = folder / f"{binding.get_host_cpu_name()}-numba-{numba.__version__}.done"
+    done = _marker(folder)
     with _locked(folder / "lock"):
         if not done.exists():
             log.warning(
@@ -77,6 +77,16 @@ def compiling(what: str, sources: Path) -> Iterator[Path | None]:
             )
         yield folder
         done.touch()
+
+
+def is_compiled(sources: Path) -> bool:
+    """Tell whether the functions of a folder's modules are compiled and kept."""
+    folder = cache_folder(sources)
+    return folder is not None and _marker(folder).exists()
+
+
+def _marker(folder: Path) -> Path:
+    return folder / f"{binding.get_host_cpu_name()}-numba-{numba.__version__}.done"
 
 
 def cache_folder(sources: Path) -> Path | None:
@@ -117,9 +127,13 @@ def numba_cache(folder: Path | None) -> Iterator[None]:
 
 @lru_cache
 def _fingerprint(sources: Path) -> str:
-    """Return a short name for the text of all modules in a folder."""
+    """Return a short name for all modules in a folder: where they are, their times and texts.
+
+    Numba takes code of a file of another time for stale, and compiles it again.
+    """
     digest = hashlib.sha256()
     for source in sorted(sources.glob("*.py")):
+        digest.update(f"{source.resolve()} {source.stat().st_mtime_ns}".encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -205,10 +205,11 @@ def main() -> NoReturn:
     if sys.stderr is None:  # closed by the caller
         sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
     logging.basicConfig(
-        level=logging.INFO,
+        level=logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
         handlers=[StandardErrorHandler()],
     )
+    logger.setLevel(logging.INFO)
     # A scheduler stops a job with SIGTERM, a lost terminal with SIGHUP: leave through the same door
     # as Ctrl-C, tidily.
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -38,6 +38,7 @@ from pipeline.progress import StageObserver
 from pipeline.report import RunReport
 from pipeline.tiles.cleaning import clean_tiles, exhaust
 from pipeline.tiles.execution import Executor, InProcess, local_workers, running_cluster
+from pipeline.tiles.fork_server import start_fork_server
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.stages import do_stage
@@ -116,12 +117,15 @@ def run(
     names = OutputNames.of(collection.readers)
     results = names.all_files(configuration.output.labels)
     with output_folder(folder, results, paths) as staging:
+        one_tile = is_one_tile(collection, configuration)
+        if not one_tile:
+            prepare_workers(configuration)
         before = _states(paths)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
         observer.advance(collection.point_count)
         work = folder / WORK_FOLDER
-        if is_one_tile(collection, configuration):
+        if one_tile:
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, observer)
             write_maps(collection, cleaned.labels, names, staging, observer)
@@ -195,6 +199,19 @@ def clean_in_tiles(
     return CleanedMap(labels, *tables, result.counts, result.clusters)
 
 
+def prepare_workers(configuration: Configuration) -> None:
+    """Let workers of this machine load what they need while something else is done."""
+    if _are_local(configuration):
+        start_fork_server()
+
+
+def _are_local(configuration: Configuration) -> bool:
+    execution = configuration.execution
+    if execution.scheduler is not None or execution.cluster == "none":
+        return False
+    return available_cores(execution.workers) > 1
+
+
 @contextmanager
 def workers_for(configuration: Configuration) -> Iterator[Executor]:
     """Open what does the tasks of a run: this process, workers of this machine, or a cluster."""
@@ -203,11 +220,11 @@ def workers_for(configuration: Configuration) -> Iterator[Executor]:
     if execution.scheduler is not None:
         with running_cluster(execution.scheduler) as executor:
             yield executor
-    elif execution.cluster == "none" or workers == 1:
-        yield InProcess()
-    else:
+    elif _are_local(configuration):
         with local_workers(workers, worker_memory_limit(configuration, workers)) as executor:
             yield executor
+    else:
+        yield InProcess()
 
 
 def open_job(

@@ -30,7 +30,8 @@ def write(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
 
 def read(path: Path) -> Chunk:
     """Read a chunk."""
-    table = pq.read_table(path, use_threads=False, memory_map=False)
+    with pq.ParquetFile(path) as file:
+        table = file.read(use_threads=False)
     xyz = np.empty((table.num_rows, 3))
     for axis, name in enumerate(_COLUMNS):
         xyz[:, axis] = table.column(name).to_numpy()

@@ -19,7 +19,7 @@ from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
-from pipeline.tiles.execution import Executor
+from pipeline.tiles.execution import Executor, LightTasks
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.rows import make_rows
@@ -63,9 +63,10 @@ def clean_tiles(
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
     """
+    plan_tiles(job, executor, observer, check)
     # Fitting takes a second to import, and this process has nothing to do while tiles are cut.
     Thread(target=import_module, args=("sklearn.cluster",), daemon=True).start()
-    cut_into_chunks(job, executor, observer, check)
+    cut_into_chunks(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))
     find_clusters(job, observer)
@@ -78,33 +79,23 @@ def clean_tiles(
     return labelled.result(counts, percentages, cuts)
 
 
-def cut_into_chunks(
+def plan_tiles(
     job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
 ) -> None:
-    """Survey the map, plan its tiles, and cut it into their chunks."""
-    rows = [len(part) for part in job.row_ranges]
-    exhaust(do_stage(job, executor, observer, "survey", rows))
-    if not (job.root / CHUNKS_FOLDER / "store.json").exists():
-        try:
-            _plan_tiles(job, executor, observer, check)
-        except (PlanError, GridError):
-            # Refused: there is nothing to go on with.
-            remove_work(job.root)
-            raise
-    if job.needs_classes:
-        make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
-    exhaust(do_stage(job, executor, observer, "cut", rows))
-    tiles = job.store.layout.counts.tolist()
-    exhaust(do_stage(job, executor, observer, "chunk", tiles))
-    shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
-
-
-def _plan_tiles(
-    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
-) -> None:
-    survey = merge(_surveys(job))
-    plan = make_plan(job.collection, survey, job.configuration, executor.workers)
-    check(plan)
+    """Survey the map, and plan its tiles."""
+    reports = do_stage(job, LightTasks(executor), observer, "survey", _rows(job))
+    surveys = _surveys(job, reports)
+    if (job.root / CHUNKS_FOLDER / "store.json").exists():
+        exhaust(surveys)
+        return
+    try:
+        survey = merge(surveys)
+        plan = make_plan(job.collection, survey, job.configuration, executor.workers)
+        check(plan)
+    except (PlanError, GridError):
+        # Refused: there is nothing to go on with.
+        remove_work(job.root)
+        raise
     overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
     if overfull:
         observer.warn(
@@ -112,6 +103,20 @@ def _plan_tiles(
             f"{plan.layout.cell:g} m wide, is not divided"
         )
     _store(job, plan, survey).save()
+
+
+def cut_into_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
+    """Cut a map whose tiles are planned into their chunks."""
+    if job.needs_classes:
+        make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
+    exhaust(do_stage(job, executor, observer, "cut", _rows(job)))
+    tiles = job.store.layout.counts.tolist()
+    exhaust(do_stage(job, executor, observer, "chunk", tiles))
+    shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
+
+
+def _rows(job: Job) -> list[int]:
+    return [len(part) for part in job.row_ranges]
 
 
 def find_clusters(job: Job, observer: StageObserver) -> None:
@@ -134,15 +139,16 @@ def find_clusters(job: Job, observer: StageObserver) -> None:
         np.save(stream, clusters.centroids)
 
 
-def exhaust(stage: Iterator[tuple[int, TaskReport]]) -> None:
+def exhaust(stage: Iterator[object]) -> None:
     """Do a stage whose reports say nothing more."""
     for _ in stage:
         pass
 
 
-def _surveys(job: Job) -> Iterator[Survey]:
+def _surveys(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Iterator[Survey]:
+    """Yield the survey of each range of rows as it is ready."""
     names = ("point_counts", "bounds", "cell", "columns", "counts")
-    for number in range(len(job.row_ranges)):
+    for number, _ in reports:
         yield Survey.from_arrays(*job.work.load("survey", number, *names))
 
 

@@ -5,12 +5,15 @@ Few tasks are in flight at a time, and none is kept once it is finished, so that
 thousand tiles holds no graph of itself.
 """
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any, Protocol
 
+from pipeline.tiles.fork_server import START_METHOD, WORKER_ENVIRONMENT, start_fork_server
 from pipeline.tiles.work import TaskReport
 
 IN_FLIGHT_PER_WORKER = 2
@@ -21,19 +24,6 @@ _COUNT_EVERY = 5.0
 
 RETRIES = 2
 """Times that a task is tried again after a fault of the file system."""
-
-ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "NUMBA_NUM_THREADS",
-        "RAYON_NUM_THREADS",
-        "ARROW_NUM_THREADS",
-    ),
-    "1",
-)
-"""Environment of a worker: no library starts threads of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +75,45 @@ class InProcess:
             except OSError as error:
                 outcome = _failure(error)
             yield number, outcome
+
+
+class Starting:
+    """Runs tasks on workers that are being started, once they are there.
+
+    Parameters
+    ----------
+    workers : int
+    started : Future
+        What runs tasks on them.
+    """
+
+    def __init__(self, workers: int, started: "Future[Executor]") -> None:
+        self.workers = workers
+        self._started = started
+
+    def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
+        """Do the tasks on the workers."""
+        yield from self._started.result().run(task, folder, numbers)
+
+    def run_light(
+        self, task: Task, folder: str, numbers: Iterable[int]
+    ) -> Iterator[tuple[int, Outcome]]:
+        """Do tasks that need little memory: in this process, until the workers are there."""
+        waiting = iter(numbers)
+        while not self._started.done():
+            number = next(waiting, None)
+            if number is None:
+                return
+            yield from InProcess().run(task, folder, [number])
+        yield from self.run(task, folder, waiting)
+
+
+class LightTasks:
+    """Runs tasks that need little memory, without waiting for workers that are being started."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.workers = executor.workers
+        self.run = executor.run_light if isinstance(executor, Starting) else executor.run
 
 
 class OnDask:
@@ -163,7 +192,7 @@ def _reason(error: BaseException | None) -> str:
 
 @contextmanager
 def local_workers(workers: int, memory: int) -> Iterator[Executor]:
-    """Start workers on this machine, one process with one thread each.
+    """Start workers on this machine, one process with one thread each, and do not wait for them.
 
     Parameters
     ----------
@@ -171,33 +200,40 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
     memory : int
         Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
     """
+    start_fork_server()
+    with ExitStack() as stack, ThreadPoolExecutor(1) as thread:
+        yield Starting(workers, thread.submit(_start_workers, workers, memory, stack))
+
+
+def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
+    """Start workers that last as long as the stack."""
     import dask  # noqa: PLC0415 (only where it is used)
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
+    # It tells how every process and connection comes and goes.
+    logging.getLogger("distributed").setLevel(logging.ERROR)
     settings: dict[str, Any] = {
-        # Memory that a tile no longer needs goes back to the system, not to the next tile's peak.
-        "distributed.nanny.pre-spawn-environ": {**ONE_THREAD, "MALLOC_TRIM_THRESHOLD_": "65536"},
+        "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
+        "distributed.worker.multiprocessing-method": START_METHOD,
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
         "distributed.admin.log-length": 1_000,
         "distributed.comm.timeouts.connect": "60s",
     }
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=memory,
-            dashboard_address=None,
-            # Even without a dashboard it opens a port: any that is free, for runs side by side.
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-            silence_logs=50,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        yield OnDask(client)
+    stack.enter_context(dask.config.set(settings))
+    cluster = LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        memory_limit=memory,
+        dashboard_address=None,
+        # Even without a dashboard it opens a port: any that is free, for runs side by side.
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+        silence_logs=50,
+    )
+    stack.enter_context(cluster)
+    return OnDask(stack.enter_context(Client(cluster, set_as_default=False)))
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, is_one_tile, make_plan
 from pipeline.progress import StageObserver
 from pipeline.run import open_job, workers_for
-from pipeline.tiles.cleaning import cut_into_chunks
+from pipeline.tiles.cleaning import cut_into_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
@@ -74,10 +74,11 @@ def tile_map(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
             job = open_job(work, paths, content_hash(paths), configuration, False, observer)
-            with workers_for(job) as executor:
-                cut_into_chunks(
+            with workers_for(configuration) as executor:
+                plan_tiles(
                     job, executor, observer, lambda plan: check_plan(plan, configuration, output)
                 )
+                cut_into_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)
             for name in _PRODUCTS:

@@ -54,3 +54,17 @@ def test_other_folder_is_found_where_the_first_cannot_be_written(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setattr(compilation.tempfile, "gettempdir", lambda: str(tmp_path / "file"))
     assert compilation.cache_folder(tmp_path) is None
+
+
+def test_two_installations_of_the_same_sources_keep_their_own_code(tmp_path: Path) -> None:
+    folders = set()
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "kernel.py").write_text("x = 1")
+        folders.add(compilation.cache_folder(tmp_path / name))
+    assert len(folders) == 2
+    assert not compilation.is_compiled(tmp_path / "one")
+    with compilation.compiling("a test", tmp_path / "one"):
+        pass
+    assert compilation.is_compiled(tmp_path / "one")
+    assert not compilation.is_compiled(tmp_path / "two")

@@ -5,6 +5,7 @@ import pickle
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import cloudpickle
@@ -23,10 +24,13 @@ from pipeline.tiles.execution import (
     IN_FLIGHT_PER_WORKER,
     RETRIES,
     InProcess,
+    LightTasks,
     OnDask,
+    Starting,
     TaskFailure,
     local_workers,
 )
+from pipeline.tiles.fork_server import START_METHOD
 from pipeline.tiles.work import TaskReport
 
 # Workers cannot import the tests: what these hand them is sent whole.
@@ -53,6 +57,10 @@ def faulty(folder, number):
     if number == 4:
         raise KeyError
     return TaskReport(number)
+
+
+def thread(folder, number):
+    return TaskReport(threading.get_ident())
 
 
 def dying(folder, number):
@@ -107,6 +115,29 @@ def test_faults_of_the_file_system_are_tried_again_and_others_are_not(client, tm
     calls = [len((tmp_path / f"{number}.calls").read_bytes()) for number in range(6)]
     assert calls == [1, 1, 1 + RETRIES, 1 + RETRIES, 1, 1]
     assert found[3] == TaskReport(3)  # the last try went well
+
+
+def test_light_tasks_are_done_here_until_the_workers_are_there(client):
+    started = Future()
+    executor = Starting(2, started)
+
+    def numbers():
+        yield from (0, 1)
+        started.set_result(OnDask(client))
+        yield from (2, 3, 4)
+
+    found = dict(LightTasks(executor).run(thread, "", numbers()))
+    here = threading.get_ident()
+    assert [found[number].points == here for number in range(5)] == [True] * 3 + [False] * 2
+    assert dict(executor.run(thread, "", [7]))[7].points != here
+    assert LightTasks(InProcess()).workers == 1
+
+
+def test_workers_that_cannot_start_are_told(client):
+    started = Future()
+    started.set_exception(OSError("no port is free"))
+    with pytest.raises(OSError, match="no port is free"):
+        dict(Starting(2, started).run(answer, "", [0]))
 
 
 class TestSlidingWindow:
@@ -187,6 +218,11 @@ def surroundings(folder, number):
                                     *threads))  # fmt: skip
 
 
+def preloaded(folder, number):
+    """Tell whether this process was forked from one that had imported all."""
+    return TaskReport(int("pipeline.tiles.preloaded" in sys.modules))
+
+
 def test_workers_of_this_machine_are_processes_of_one_thread_with_a_limit_and_a_death_is_told():
     # A task is tried on three more workers otherwise, each of which takes seconds to start.
     with (
@@ -199,6 +235,8 @@ def test_workers_of_this_machine_are_processes_of_one_thread_with_a_limit_and_a_
         assert report.counts[2] == 3 << 30
         assert set(report.counts[:2] + report.counts[3:]) == {1}
         assert len(report.counts) > 3
+        if START_METHOD == "forkserver":
+            assert dict(executor.run(preloaded, "", [0]))[0].points == 1
 
         begun = time.monotonic()
         found = dict(executor.run(dying, "abc", range(4)))
