@@ -4,6 +4,7 @@
     python -m benchmarks.compare --scenes simulated-indoor simulated-street --seeds 0 1 2
     python -m benchmarks.compare --scenes street-64 room --seconds 900
     python -m benchmarks.compare --methods DynaHull DUFOMap --set scans=100
+    python -m benchmarks.compare --json figures.json --resume      # goes on where it was cut off
 
 Every method runs in a process of its own, on as many cores as `--cores` says. What needs scans and
 poses must first find a thing that crosses an empty hall in full view (the scene `crossing`); what
@@ -11,11 +12,9 @@ does not is skipped, as is what is not installed, and the tables say so.
 """
 
 import argparse
-import json
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from benchmarks.compare.data import SCENES, scene_makers
 from benchmarks.compare.isolated import Limits
 from benchmarks.compare.measure import evaluation_options
 from benchmarks.compare.method import Method
+from benchmarks.compare.record import Record
 from benchmarks.compare.registry import all_methods
 from benchmarks.compare.results import Result
 from benchmarks.compare.tables import tables
@@ -34,7 +34,8 @@ __all__ = ["main"]
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Make the scenes, run the methods, print the tables."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
     cores = sorted(os.sched_getaffinity(0))[-options.cores :]
     os.sched_setaffinity(0, cores)
     print(
@@ -42,18 +43,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"seeds {options.seeds}; settings {options.set or 'none'}",
         flush=True,
     )
-    results = list(_results(options))
-    print(tables(results))
-    if options.json:
-        text = json.dumps([asdict(result) for result in results], indent=2)
-        options.json.write_text(text + "\n", encoding="utf-8")
+    print(tables(list(_results(options, _record(parser, options)))))
 
 
-def _results(options: argparse.Namespace) -> Iterator[Result]:
+def _record(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Record:
+    if not options.resume:
+        return Record(options.json)
+    if options.json is None:
+        parser.error("--resume needs --json, the file to go on with")
+    try:
+        return Record.resume(options.json)
+    except ValueError as error:
+        parser.error(str(error))
+
+
+def _results(options: argparse.Namespace, record: Record) -> Iterator[Result]:
     methods = _chosen(options.methods)
     limits = Limits(options.seconds, options.memory)
     with tempfile.TemporaryDirectory() as folder:
-        comparison = Comparison(methods, limits, evaluation_options(options.emd_points), folder)
+        figures = evaluation_options(options.emd_points)
+        comparison = Comparison(methods, limits, figures, folder, record, options.cores)
         for make in scene_makers(options.scenes, options.seeds, options.set, options.maps):
             for result in comparison.on(make()):
                 said = result.skipped or ", ".join(
@@ -84,10 +93,15 @@ def _parser() -> argparse.ArgumentParser:
     add("--maps", type=Path, default=Path("../shared/data/maps"), help="folder of recorded maps")
     add("--methods", nargs="+", default=[], metavar="NAME", help="beginnings of their names")
     add("--cores", type=int, default=1, help="that a method may use")
-    add("--seconds", type=float, default=600.0, help="that a method may take on a scene")
+    add("--seconds", type=float, default=600.0, help="of processor time, that a method may take")
     add("--memory", type=float, default=8.0, help="that a method may take, GiB")
     add("--emd-points", type=int, default=2000, help="see `dynahull-pipeline evaluate`")
-    add("--json", type=Path, metavar="FILE", help="write every figure of every scene")
+    add("--json", type=Path, metavar="FILE", help="write every figure, after each method")
+    add(
+        "--resume",
+        action="store_true",
+        help="reuse what the file has of the same data and settings",
+    )
     return parser
 
 

@@ -1,6 +1,7 @@
 """All methods on one scene after the other; peers that need scans are first shown to work."""
 
 from collections.abc import Iterator, Sequence
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from benchmarks.compare.data.crossing import crossing_scene
 from benchmarks.compare.isolated import Limits, Outcome, run_isolated
 from benchmarks.compare.measure import measure
 from benchmarks.compare.method import Family, Method
+from benchmarks.compare.record import Record
 from benchmarks.compare.results import Result
 from benchmarks.compare.scene import Scene
 from pipeline.errors import EvaluationError
@@ -33,6 +35,10 @@ class Comparison:
     options : EvaluationOptions
     folder : str or Path
         For files in between.
+    record : Record, optional
+        Of what is finished already; results are added to it.
+    cores : int
+        That this process and its children may use.
     crossing : Scene, optional
         Where peers that need scans and poses are shown to work.
     """
@@ -43,12 +49,16 @@ class Comparison:
         limits: Limits,
         options: EvaluationOptions,
         folder: str | Path,
+        record: Record | None = None,
+        cores: int = 1,
         crossing: Scene | None = None,
     ) -> None:
         self._methods = methods
         self._limits = limits
         self._options = options
         self._folder = Path(folder)
+        self._record = record or Record()
+        self._cores = cores
         self._crossing = crossing or crossing_scene()
         self._reasons: dict[str, str | None] = {}
 
@@ -56,24 +66,39 @@ class Comparison:
         """Yield the result of every method on a scene."""
         path = self._folder / "scene.npz"
         scene.write(path)
+        digest = scene.digest()
         for method in self._methods:
-            outcome = self._run(method, path)
-            skipped, figures = outcome.skipped, {}
-            if skipped is None:
-                try:
-                    evaluated = measure(scene, outcome.removed, self._options, self._folder)
-                    figures = Result.figures_of(outcome, evaluated)
-                except EvaluationError as error:
-                    skipped = str(error)
-            yield Result(
-                method=method.name,
-                family=method.family.value,
-                scene=scene.name,
-                group=scene.group,
-                points=len(scene),
-                skipped=skipped,
-                figures=figures,
-            )
+            key = self._key(method, digest)
+            result = self._record.finished(key)
+            if result is None:
+                result = self._result(method, scene, path, key)
+                self._record.add(result)
+            yield result
+
+    def _key(self, method: Method, digest: str) -> str:
+        settings = (digest, method.name, method.parameters, self._limits, self._options)
+        return blake2b(repr((*settings, self._cores)).encode(), digest_size=16).hexdigest()
+
+    def _result(self, method: Method, scene: Scene, path: Path, key: str) -> Result:
+        outcome = self._run(method, path)
+        skipped, figures = outcome.skipped, {}
+        if skipped is None:
+            try:
+                evaluated = measure(scene, outcome.removed, self._options, self._folder)
+                figures = Result.figures_of(outcome, evaluated)
+            except EvaluationError as error:
+                skipped = str(error)
+        return Result(
+            method=method.name,
+            family=method.family.value,
+            scene=scene.name,
+            group=scene.group,
+            points=len(scene),
+            skipped=skipped,
+            exhausted=outcome.exhausted,
+            figures=figures,
+            key=key,
+        )
 
     def _run(self, method: Method, scene: Path) -> Outcome:
         if method.family is Family.SCANS:

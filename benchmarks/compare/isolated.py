@@ -1,6 +1,7 @@
 """Running a method in a process of its own, with a limit on time and memory."""
 
 import json
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -16,10 +17,13 @@ __all__ = ["Limits", "Outcome", "run_isolated"]
 _ROOT = Path(__file__).resolve().parents[2]
 _LONGEST_REASON = 160
 
+_PATIENCE = 20.0
+"""Times the processor time: the wall time after which a process is taken for stuck."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a method may take: seconds of wall time, and GiB of memory."""
+    """What a method may take: seconds of processor time, and GiB of memory."""
 
     seconds: float
     memory: float
@@ -33,20 +37,24 @@ class Outcome:
     ----------
     skipped : str or None
         Why there is no result.
+    exhausted : bool
+        It took all time or memory that it was given.
     removed : (N,) bool array
         Empty where there is none.
     seconds : float
-        Wall time of the method; reading the scene, importing and compiling are left out.
+        Processor time of the method, all threads and programs it starts together: a machine that
+        is shared changes it little. Reading the scene, importing and compiling are left out.
     """
 
     skipped: str | None
+    exhausted: bool
     removed: NDArray[np.bool_]
     seconds: float
 
     @classmethod
-    def skip(cls, reason: str) -> "Outcome":
+    def skip(cls, reason: str, *, exhausted: bool = False) -> "Outcome":
         """Return the outcome of a run that gave nothing."""
-        return cls(reason, np.empty(0, dtype=np.bool_), 0.0)
+        return cls(reason, exhausted, np.empty(0, dtype=np.bool_), 0.0)
 
 
 def run_isolated(method: Method, scene: Path, folder: Path, limits: Limits) -> Outcome:
@@ -66,25 +74,28 @@ def run_isolated(method: Method, scene: Path, folder: Path, limits: Limits) -> O
     report.unlink(missing_ok=True)
     command = [sys.executable, "-m", "benchmarks.compare.worker", method.name]
     command += [str(path.resolve()) for path in (scene, removed, report)]
-    command += ["--memory", str(limits.memory)]
+    command += ["--memory", str(limits.memory), "--seconds", str(limits.seconds)]
+    too_slow = Outcome.skip(f"more than {limits.seconds:g} s", exhausted=True)
     try:
         done = subprocess.run(
             command,
             cwd=_ROOT,
-            timeout=limits.seconds,
+            timeout=_PATIENCE * limits.seconds,
             capture_output=True,
             text=True,
             errors="replace",
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Outcome.skip(f"more than {limits.seconds:g} s")
+        return too_slow
+    if done.returncode == -signal.SIGXCPU:
+        return too_slow
     if done.returncode:
         return Outcome.skip(_failure(done.returncode, done.stderr))
     told = json.loads(report.read_text(encoding="utf-8"))
     if "skipped" in told:
-        return Outcome.skip(told["skipped"])
-    return Outcome(None, np.load(removed), told["seconds"])
+        return Outcome.skip(told["skipped"], exhausted=told["exhausted"])
+    return Outcome(None, False, np.load(removed), told["seconds"])
 
 
 def _failure(code: int, errors: str) -> str:

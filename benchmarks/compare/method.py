@@ -39,8 +39,11 @@ class Method:
     load : callable
         Imports what is needed, compiles what is compiled, and returns the removal: so that only
         the method itself is timed. Raises `Unavailable` where something is missing.
+    parameters : str
+        Those that the name does not tell.
     """
 
     name: str
     family: Family
     load: Callable[[], Removal]
+    parameters: str = ""

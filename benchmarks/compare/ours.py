@@ -48,4 +48,4 @@ def _method(name: str, parameters: MethodParameters) -> Method:
 
         return remove
 
-    return Method(name, Family.OURS, load)
+    return Method(name, Family.OURS, load, repr(parameters))

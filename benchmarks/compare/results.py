@@ -57,8 +57,12 @@ class Result:
         Of the whole map.
     skipped : str or None
         Why there are no figures.
+    exhausted : bool
+        It took all time or memory that it was given; so it would again.
     figures : dict of str to float or None
         By column; None where undefined.
+    key : str
+        Of the data, the method and all settings: what has the same one need not be done again.
     """
 
     method: str
@@ -67,7 +71,9 @@ class Result:
     group: str
     points: int
     skipped: str | None
+    exhausted: bool
     figures: dict[str, float | None]
+    key: str = ""
 
     @classmethod
     def figures_of(cls, outcome: Outcome, figures: Figures) -> dict[str, float | None]:
@@ -96,5 +102,6 @@ def mean_of(results: Sequence[Result]) -> Result:
         group=first.group,
         points=sum(each.points for each in results),
         skipped=skipped,
+        exhausted=any(each.exhausted for each in results),
         figures=figures,
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
 
@@ -78,6 +79,13 @@ class Scene:
         for pose, rows in zip(self.poses, np.split(order, ends[:-1]), strict=True):
             if len(rows):
                 yield Scan(rows, self.xyz[rows], pose)
+
+    def digest(self) -> str:
+        """Return a hash of all that a method is given, and of the labels."""
+        told = blake2b(f"{self.name} {self.ring_spacing}".encode(), digest_size=16)
+        for array in (self.xyz, self.labels, self.scan, self.poses):
+            told.update(np.ascontiguousarray(array))
+        return told.hexdigest()
 
     def write(self, path: Path) -> None:
         """Write the scene for `read`."""

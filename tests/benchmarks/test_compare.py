@@ -5,11 +5,12 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
+from shutil import which
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,7 +46,7 @@ def test_ours_and_a_peer_share_a_table_and_a_missing_peer_says_so(tmp_path):
     accuracies = [paper["figures"][name] for name in ("SA", "DA", "AA")]
     assert accuracies[2] == pytest.approx(math.sqrt(accuracies[0] * accuracies[1]))
     assert f"| DynaHull, paper | ours | {paper['figures']['MAE']:.2f} |" in done.stdout
-    if find_spec("pdal") is None:
+    if which("pdal") is None:
         assert "PDAL is not installed" in pdal["skipped"]
         assert "- PDAL filters.outlier (statistical, 8, 2.0): PDAL is not inst" in done.stdout
 
@@ -97,12 +98,12 @@ def comparison_of(removal, crossing, folder, monkeypatch):
     from benchmarks.compare.scene import Scene  # noqa: PLC0415
 
     def run(method, scene, *_):
-        return Outcome(None, method.load()(Scene.read(scene)), 1.0)
+        return Outcome(None, False, method.load()(Scene.read(scene)), 1.0)
 
     monkeypatch.setattr(module, "run_isolated", run)
     method = Method("peer", Family.SCANS, lambda: removal)
     options = evaluation_options(0)
-    return module.Comparison([method], Limits(60, 4), options, folder, crossing)
+    return module.Comparison([method], Limits(60, 4), options, folder, crossing=crossing)
 
 
 def test_a_peer_that_finds_nothing_where_it_must_is_not_compared(crossing, tmp_path, monkeypatch):
@@ -135,14 +136,14 @@ def test_a_method_that_fails_or_takes_too_long_is_skipped_with_the_reason(crossi
     outcome = run_isolated(unknown, tmp_path / "scene.npz", tmp_path, Limits(60, 4))
     assert outcome.skipped.startswith("failed: ValueError")
     slow = run_isolated(unknown, tmp_path / "scene.npz", tmp_path, Limits(0.01, 4))
-    assert slow.skipped == "more than 0.01 s"
+    assert slow.skipped == "more than 0.01 s" and slow.exhausted
 
 
 def test_means_are_over_all_scenes_or_none():
     from benchmarks.compare.results import Result, mean_of  # noqa: PLC0415
 
     def result(scene, value, skipped=None):
-        return Result("m", "ours", scene, "g", 10, skipped, {"SA": value, "DA": None})
+        return Result("m", "ours", scene, "g", 10, skipped, False, {"SA": value, "DA": None})
 
     mean = mean_of([result("a", 90.0), result("b", 80.0)])
     assert mean.figures == {"SA": 85.0, "DA": None} and mean.points == 20
@@ -173,3 +174,73 @@ def test_a_peer_that_removes_nothing_from_a_scene_is_not_compared_on_it(
     comparison = comparison_of(sees_the_crossing_only, crossing, tmp_path, monkeypatch)
     (result,) = comparison.on(replace(crossing, name="another"))
     assert result.skipped.startswith("removed nothing here")
+
+
+def test_what_is_finished_is_reused_and_what_is_not_is_done(crossing, tmp_path, monkeypatch):
+    from benchmarks.compare import comparison as module  # noqa: PLC0415
+    from benchmarks.compare.isolated import Limits, Outcome  # noqa: PLC0415
+    from benchmarks.compare.measure import evaluation_options  # noqa: PLC0415
+    from benchmarks.compare.method import Family, Method  # noqa: PLC0415
+    from benchmarks.compare.record import Record  # noqa: PLC0415
+
+    outcomes = {
+        "works": Outcome(None, False, np.asarray(crossing.labels == 1), 1.0),
+        "too slow": Outcome.skip("more than 1 s", exhausted=True),
+        "missing": Outcome.skip("not installed"),
+    }
+    done = []
+
+    def run(method, *_):
+        done.append(method.name)
+        return outcomes[method.name]
+
+    monkeypatch.setattr(module, "run_isolated", run)
+    methods = [Method(name, Family.MAP, lambda: None) for name in outcomes]
+
+    def names_done(scene=crossing, seconds=1.0, methods=methods):
+        done.clear()
+        record = Record.resume(tmp_path / "figures.json")
+        limits, options = Limits(seconds, 4), evaluation_options(0)
+        results = list(module.Comparison(methods, limits, options, tmp_path, record).on(scene))
+        assert [each.skipped for each in results] == [None, "more than 1 s", "not installed"]
+        return list(done)
+
+    assert names_done() == list(outcomes)
+    assert names_done() == ["missing"]
+    assert names_done(seconds=2.0) == list(outcomes)
+    moved = replace(crossing, xyz=crossing.xyz + 1e-9)
+    assert names_done(scene=moved) == list(outcomes)
+    changed = [replace(method, parameters="k=50") for method in methods]
+    assert names_done(methods=changed) == list(outcomes)
+    assert len(json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))) == 12
+
+
+def test_a_file_that_is_no_record_is_refused(tmp_path):
+    from benchmarks.compare.record import Record  # noqa: PLC0415
+
+    file = tmp_path / "figures.json"
+    file.write_text('[{"method": "m"}]', encoding="utf-8")
+    with pytest.raises(ValueError, match=r"figures.json: expected results of a comparison"):
+        Record.resume(file)
+
+
+@pytest.mark.skipif(which("pdal") is None, reason="the program pdal is absent")
+def test_pdal_removes_what_its_definition_says(crossing):
+    from benchmarks.compare.peers.pdal_outliers import METHODS  # noqa: PLC0415
+
+    removed = METHODS[0].load()(crossing)
+    xyz = np.round(crossing.xyz, 4)
+    distances = cKDTree(xyz).query(xyz, k=9)[0][:, 1:].mean(axis=1)
+    far = distances > distances.mean() + 2 * distances.std(ddof=1)
+    # A point on the threshold may fall to either side by the rounding of LAS.
+    assert removed.sum() > 0 and np.count_nonzero(removed != far) <= 3
+
+
+def test_scenes_of_the_first_seed_come_first():
+    from benchmarks.compare.data import scene_makers  # noqa: PLC0415
+
+    names = ["simulated-indoor", "street-64", "simulated-street"]
+    makers = scene_makers(names, [3, 4], [], Path())
+    told = [(make.func.__name__, *make.args[1:2]) for make in makers]
+    simulated, recorded = "simulated_scene", "street_scene"
+    assert told == [(simulated, 3), (recorded,), (simulated, 3), (simulated, 4), (simulated, 4)]

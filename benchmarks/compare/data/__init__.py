@@ -12,16 +12,16 @@ from pipeline.simulation import SceneKind
 
 __all__ = ["SCENES", "scene_makers"]
 
-SIMULATED = tuple(kind.value for kind in SceneKind)
+_SIMULATED = "simulated-"
 RECORDED = {"street-64": street_scene, "room": room_scene}
-SCENES = ("crossing", *(f"simulated-{kind}" for kind in SIMULATED), *RECORDED)
+SCENES = ("crossing", *(f"{_SIMULATED}{kind.value}" for kind in SceneKind), *RECORDED)
 """Names that the command line takes."""
 
 
 def scene_makers(
     names: Sequence[str], seeds: Sequence[int], settings: Sequence[str], maps: Path
 ) -> list[Callable[[], Scene]]:
-    """Return what makes the scenes, one after the other.
+    """Return what makes the scenes: all with the first seed, then those that have further ones.
 
     Parameters
     ----------
@@ -35,13 +35,12 @@ def scene_makers(
         The folder of recorded maps.
     """
     makers: list[Callable[[], Scene]] = []
-    for name in names:
-        if name == "crossing":
-            makers.append(crossing_scene)
-        elif name in RECORDED:
-            recorded = RECORDED[name]
-            makers.append(partial(recorded, maps))
-        else:
-            kind = SceneKind(name.removeprefix("simulated-"))
-            makers += [partial(simulated_scene, kind, seed, settings) for seed in seeds]
+    for round_number, seed in enumerate(seeds):
+        for name in names:
+            if name.startswith(_SIMULATED):
+                kind = SceneKind(name.removeprefix(_SIMULATED))
+                makers.append(partial(simulated_scene, kind, seed, settings))
+            elif round_number == 0:
+                recorded = RECORDED.get(name)
+                makers.append(partial(recorded, maps) if recorded else crossing_scene)
     return makers
