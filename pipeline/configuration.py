@@ -9,6 +9,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from dynahull.labels import Label
 from dynahull.parameters import MethodParameters, validation_message
 from pipeline.errors import ConfigurationError
 
@@ -85,13 +86,38 @@ class TilingParameters(BaseModel):
     )
 
 
+Class = Annotated[int, Field(ge=0, le=255, strict=True)] | Literal["keep"]
+
+
+class ClassParameters(BaseModel):
+    """Classes that points of each label get in a labelled LAS or LAZ map; `keep`: their own."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    static: Class = Field("keep", description="Of what was scored and stays.")
+    dynamic: Class = Field(
+        7, description="Of what would be removed; 7 is noise (ASPRS), which LAS tools leave out."
+    )
+    ground: Class = Field(2, description="Of the ground; 2 is ground (ASPRS).")
+    above: Class = Field("keep", description="Of what `max_height` sets aside.")
+    unscored: Class = Field("keep", description="Of what is in a cluster of too few points.")
+    invalid: Class = Field("keep", description="Of points whose coordinates are not finite.")
+
+    def of_labels(self) -> dict[Label, int | None]:
+        """Return the class of each label, None for the points' own."""
+        given = {label: getattr(self, label.title) for label in Label}
+        return {label: None if value == "keep" else value for label, value in given.items()}
+
+
 class OutputParameters(BaseModel):
     """What is written beside the cleaned map."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    mode: Literal["split"] = Field(
-        "split", description="`split`: what stays and what goes, in a file each."
+    mode: Literal["split", "label"] = Field(
+        "split",
+        description="`split`: what stays and what goes, in a file each. `label`: all points in one "
+        "file, with the fields `label` and `density`, and LAS classes by `output.classes`.",
     )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
@@ -99,6 +125,12 @@ class OutputParameters(BaseModel):
     labels: bool = Field(
         False, description="Write labels.parquet: label, cluster and density of every point."
     )
+    classes: ClassParameters = ClassParameters()
+
+    @property
+    def needs_scores(self) -> bool:
+        """Whether cluster and density of every point are kept until the outputs are written."""
+        return self.labels or self.mode == "label"
 
 
 class Configuration(MethodParameters):

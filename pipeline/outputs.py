@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from pipeline.errors import OutputError
 from tiling.formats import MapReader
@@ -30,30 +31,45 @@ class OutputNames:
     Attributes
     ----------
     static, dynamic : tuple of Path
-        In the order of the input files.
+        In the order of the input files; none where the outputs are labelled.
+    labelled : tuple of Path
+        In the order of the input files; none where the outputs are not labelled.
     """
 
-    static: tuple[Path, ...]
-    dynamic: tuple[Path, ...]
+    static: tuple[Path, ...] = ()
+    dynamic: tuple[Path, ...] = ()
+    labelled: tuple[Path, ...] = ()
 
     @classmethod
-    def of(cls, readers: Sequence[MapReader]) -> "OutputNames":
+    def of(
+        cls, readers: Sequence[MapReader], mode: Literal["split", "label"] = "split"
+    ) -> "OutputNames":
         """Choose names: `static.<ext>` for one file, `static/<its own name>` for several."""
+        kinds = ("static", "dynamic") if mode == "split" else ("labelled",)
         if len(readers) == 1:
             suffix = readers[0].description.suffix
-            return cls((Path(f"static{suffix}"),), (Path(f"dynamic{suffix}"),))
+            return cls(**{kind: (Path(f"{kind}{suffix}"),) for kind in kinds})
         paths = [reader.description.path for reader in readers]
         suffixes = [reader.description.suffix for reader in readers]
         names = _distinct_names(paths, suffixes)
-        return cls(
-            tuple(Path("static") / name for name in names),
-            tuple(Path("dynamic") / name for name in names),
-        )
+        return cls(**{kind: tuple(Path(kind) / name for name in names) for kind in kinds})
+
+    @property
+    def by_kind(self) -> dict[str, tuple[Path, ...]]:
+        """The names of the kinds of outputs that there are."""
+        kinds = {"static": self.static, "dynamic": self.dynamic, "labelled": self.labelled}
+        return {kind: names for kind, names in kinds.items() if names}
+
+    @property
+    def by_file(self) -> tuple[tuple[Path, ...], ...]:
+        """The outputs of each input file."""
+        return tuple(zip(*self.by_kind.values(), strict=True))
 
     def all_files(self, labels: bool) -> tuple[Path, ...]:
         """Return every file of the run, `run.json` last."""
         tables = (Path(LABELS_FILE),) if labels else ()
-        return (*self.static, *self.dynamic, *tables, Path(CONFIGURATION_FILE), Path(RUN_FILE))
+        maps = [name for names in self.by_kind.values() for name in names]
+        return (*maps, *tables, Path(CONFIGURATION_FILE), Path(RUN_FILE))
 
 
 def default_folder(paths: Sequence[Path]) -> Path:

@@ -18,15 +18,21 @@ from tiling.formats.collection import MapCollection
 
 
 class InputFile(BaseModel):
-    """One file of the map."""
+    """One file of the map, and the names of what became of it in the output folder."""
 
     path: str
     format: str
     size_bytes: int
     points: int
     first_row: int
-    static: str
-    dynamic: str
+    static: str | None = None
+    dynamic: str | None = None
+    labelled: str | None = None
+
+    @property
+    def outputs(self) -> list[str]:
+        """The files written of it."""
+        return [name for name in (self.static, self.dynamic, self.labelled) if name is not None]
 
 
 class ClusterReport(BaseModel):
@@ -154,9 +160,9 @@ class RunReport(BaseModel):
                 f"{threshold:>14}{cluster.removed:>12,}"
             )
         folder = Path(self.output)
-        written = [folder / name for file in self.files for name in (file.static, file.dynamic)]
+        written = [folder / name for file in self.files for name in file.outputs]
         if len(self.files) > 1:
-            written = [folder / "static", folder / "dynamic"]
+            written = list(dict.fromkeys(path.parent for path in written))
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
         lines.append("written: " + ", ".join(str(path) for path in [*written, folder / RUN_FILE]))
@@ -171,10 +177,9 @@ def _input_files(collection: MapCollection, names: OutputNames) -> list[InputFil
             size_bytes=reader.description.path.stat().st_size,
             points=reader.description.point_count,
             first_row=first_row,
-            static=str(static),
-            dynamic=str(dynamic),
+            **{kind: str(files[number]) for kind, files in names.by_kind.items()},
         )
-        for reader, first_row, static, dynamic in zip(
-            collection.readers, collection.first_rows, names.static, names.dynamic, strict=True
+        for number, (reader, first_row) in enumerate(
+            zip(collection.readers, collection.first_rows, strict=True)
         )
     ]

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from dynahull import Label, clean
 from dynahull.errors import MissingClassificationError
 from dynahull.result import ClusterSummary
-from pipeline.configuration import Configuration
+from pipeline.configuration import Configuration, OutputParameters
 from pipeline.errors import InputChangedError, LostPointsError, OutputError
 from pipeline.machine import available_cores
+from pipeline.output_modes import check_mode, mode_of
 from pipeline.outputs import (
     CONFIGURATION_FILE,
     LABELS_FILE,
@@ -114,7 +115,8 @@ def run(
         )
     for note in _notes(collection):
         observer.warn(note)
-    names = OutputNames.of(collection.readers)
+    check_mode(collection.readers, configuration.output)
+    names = OutputNames.of(collection.readers, configuration.output.mode)
     results = names.all_files(configuration.output.labels)
     with output_folder(folder, results, paths) as staging:
         one_tile = is_one_tile(collection, configuration)
@@ -128,7 +130,15 @@ def run(
         if one_tile:
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, observer)
-            write_maps(collection, cleaned.labels, names, staging, observer)
+            write_maps(
+                collection,
+                configuration.output,
+                cleaned.labels,
+                cleaned.density,
+                names,
+                staging,
+                observer,
+            )
         else:
             job = open_job(work, paths, digest, configuration, fresh, observer)
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
@@ -189,14 +199,13 @@ def clean_in_tiles(
             lambda plan: check_plan(plan, job.configuration, job.root),
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
-        write_maps(collection, labels, names, staging, observer, job, executor)
-    tables: tuple[NDArray[np.int32] | None, NDArray[np.float64] | None] = (None, None)
-    if job.configuration.output.labels:
-        tables = (
-            open_rows(job.rows_path("cluster"), np.int32),
-            open_rows(job.rows_path("density"), np.float64),
-        )
-    return CleanedMap(labels, *tables, result.counts, result.clusters)
+        output = job.configuration.output
+        cluster, density = None, None
+        if output.needs_scores:
+            cluster = open_rows(job.rows_path("cluster"), np.int32)
+            density = open_rows(job.rows_path("density"), np.float64)
+        write_maps(collection, output, labels, density, names, staging, observer, job, executor)
+    return CleanedMap(labels, cluster, density, result.counts, result.clusters)
 
 
 def prepare_workers(configuration: Configuration) -> None:
@@ -272,7 +281,7 @@ def open_job(
 def job_key(digest: str, configuration: Configuration) -> str:
     """Return the hash of all that decides what tasks leave: map, configuration, version."""
     decisive = configuration.model_dump(mode="json", exclude={"execution"})
-    decisive["output"] = {"labels": configuration.output.labels}
+    decisive["output"] = {"labels": configuration.output.needs_scores}
     text = json.dumps([version("dynahull-pipeline"), digest, decisive], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -301,19 +310,24 @@ def read_points(
 
 def write_maps(
     collection: MapCollection,
+    output: OutputParameters,
     labels: NDArray[np.uint8],
+    density: NDArray[np.float64] | None,
     names: OutputNames,
     folder: Path,
     observer: StageObserver,
     job: Job | None = None,
     executor: Executor | None = None,
 ) -> None:
-    """Stream the input once more into its static and its dynamic part.
+    """Stream the input once more into its outputs.
 
     Parameters
     ----------
     collection : MapCollection
+    output : OutputParameters
     labels : (N,) uint8 array
+    density : (N,) float64 array or None
+        There where the outputs are labelled.
     names : OutputNames
     folder : Path
     observer : StageObserver
@@ -325,13 +339,13 @@ def write_maps(
     LostPointsError
         When the files written do not add up to the input.
     """
-    outputs: list[tuple[Path, Path]] = []
-    for static, dynamic in zip(names.static, names.dynamic, strict=True):
-        for name in (static, dynamic):
-            if folder / name in {path for pair in outputs for path in pair}:
-                raise LostPointsError(f"{name}: two files of the map would be written here")
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        outputs.append((folder / static, folder / dynamic))
+    outputs = [tuple(folder / name for name in of_file) for of_file in names.by_file]
+    places = [place for of_file in outputs for place in of_file]
+    if len(set(places)) < len(places):
+        twice = next(place for place in places if places.count(place) > 1)
+        raise LostPointsError(f"{twice}: two files of the map would be written here")
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
     in_parts = []
     if job is not None and executor is not None:
         in_parts = [index for index, each in enumerate(collection.readers) if each.writes_parts]
@@ -343,10 +357,12 @@ def write_maps(
     first_rows = [*collection.first_rows, collection.point_count]
     observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
     for index in streams:
-        of_file = labels[first_rows[index] : first_rows[index + 1]]
-        write_stream(collection.readers[index], of_file, *outputs[index], observer.advance)
-    for reader, places in zip(collection.readers, outputs, strict=True):
-        check_written(reader, *places)
+        rows = slice(first_rows[index], first_rows[index + 1])
+        densities = None if density is None else density[rows]
+        mode = mode_of(collection.readers[index], output, labels[rows], densities)
+        write_stream(mode, outputs[index], observer.advance)
+    for reader, of_file in zip(collection.readers, outputs, strict=True):
+        check_written(reader, of_file)
 
 
 def write_labels(cleaned: CleanedMap, path: Path) -> None:

@@ -116,12 +116,17 @@ def _read_run(folder: Path) -> _RunFolder | None:
         return None
     try:
         files = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))["files"]
+        if any(file.get("labelled") for file in files):
+            raise EvaluationError(
+                f"{folder}: expected a run with output.mode split, whose static map is a file of "
+                "its own, found one with output.mode label"
+            )
         return _RunFolder(
             static=tuple(folder / file["static"] for file in files),
             originals=tuple(Path(file["path"]) for file in files),
             labels=folder / LABELS_FILE,
         )
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise EvaluationError(
             f"{folder / RUN_FILE}: expected the report of a run, found {error!r}"
         ) from None

@@ -208,7 +208,7 @@ def _rescaled(
 def _make_results(job: Job) -> None:
     count = job.collection.point_count
     make_rows(job.rows_path("label"), count, np.uint8, Label.INVALID)
-    if job.configuration.output.labels:
+    if job.configuration.output.needs_scores:
         make_rows(job.rows_path("cluster"), count, np.int32, NO_CLUSTER)
         make_rows(job.rows_path("density"), count, np.float64, np.nan)
 

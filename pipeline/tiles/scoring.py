@@ -118,7 +118,7 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
     _put(job, "label", np.uint8, core_rows, labels)
-    if job.configuration.output.labels:
+    if job.configuration.output.needs_scores:
         cluster_of = np.full(len(core_rows), NO_CLUSTER, np.int32)
         cluster_of[place] = scored.cluster + first_cluster(job, tile)
         density_of = np.full(len(core_rows), np.nan)

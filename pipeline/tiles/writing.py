@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynahull.labels import Label
 from pipeline.errors import LostPointsError
+from pipeline.output_modes import OutputMode, mode_of
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
@@ -23,8 +22,6 @@ from tiling.formats.parts import PartSummary, PartWriter
 
 BATCH = 500_000
 PARTS_FILE = "parts.pickle"
-
-Labels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +34,13 @@ class OutputPart:
         The input file.
     rows : range
         Of that file.
-    first_static, first_dynamic : int
+    firsts : tuple of int
         Points of each output before those of this part.
     """
 
     file: int
     rows: range
-    first_static: int
-    first_dynamic: int
+    firsts: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,52 +49,40 @@ class OutputPlan:
 
     Attributes
     ----------
-    writers : dict of int to (PartWriter, PartWriter)
-        Of each input file: what stays, what goes.
+    writers : dict of int to tuple of PartWriter
+        Of each input file, for its outputs.
     parts : tuple of OutputPart
     """
 
-    writers: dict[int, tuple[PartWriter, PartWriter]]
+    writers: dict[int, tuple[PartWriter, ...]]
     parts: tuple[OutputPart, ...]
 
 
-def write_stream(
-    reader: MapReader,
-    labels: Labels,
-    static: Path,
-    dynamic: Path,
-    advance: Callable[[int], None],
-) -> None:
-    """Write what stays and what goes of one file of the map.
+def write_stream(mode: OutputMode, outputs: Sequence[Path], advance: Callable[[int], None]) -> None:
+    """Write the outputs of one file of the map.
 
     Parameters
     ----------
-    reader : MapReader
-    labels : (n,) uint8 array
-        Of the file's points.
-    static, dynamic : Path
+    mode : OutputMode
+        Of the file.
+    outputs : sequence of Path
         To be written.
     advance : callable
         Told of points done.
     """
-    staying = count_kept(labels)
+    counts = mode.counts(range(mode.reader.description.point_count))
     with ExitStack() as stack:
-        cleaned = stack.enter_context(reader.writer(static, staying))
-        ghosts = stack.enter_context(reader.writer(dynamic, len(labels) - staying))
-        for batch in reader.batches(BATCH):
-            chosen = labels[batch.first_row : batch.first_row + len(batch.xyz)] != Label.DYNAMIC
-            cleaned.write(batch.select(chosen))
-            ghosts.write(batch.select(~chosen))
+        writers = [
+            stack.enter_context(each.writer(path, count))
+            for each, path, count in zip(mode.formats, outputs, counts, strict=True)
+        ]
+        for batch in mode.reader.batches(BATCH):
+            for writer, records in zip(writers, mode.records(batch), strict=True):
+                writer.write(records)
             advance(len(batch.xyz))
 
 
-def count_kept(labels: Labels) -> int:
-    """Return how many points stay, a bounded part of the labels at a time."""
-    starts = range(0, len(labels), 1 << 22)
-    return sum(int(np.count_nonzero(labels[a : a + (1 << 22)] != Label.DYNAMIC)) for a in starts)
-
-
-def check_written(reader: MapReader, static: Path, dynamic: Path) -> None:
+def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
     """Check that the outputs of a file together have its points.
 
     Raises
@@ -107,14 +91,14 @@ def check_written(reader: MapReader, static: Path, dynamic: Path) -> None:
         When they do not.
     """
     description = reader.description
-    written = sum(open_map(path).description.point_count for path in (static, dynamic))
+    written = sum(open_map(path).description.point_count for path in outputs)
     if written != description.point_count:
         raise LostPointsError(
             f"{description.path}: {description.point_count} points read, {written} written"
         )
 
 
-def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[tuple[Path, Path]]) -> OutputPlan:
+def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]) -> OutputPlan:
     """Create the outputs of some files, to be written in parts, and keep the plan.
 
     Parameters
@@ -123,26 +107,22 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[tuple[Path, Pat
         Whose labels are known.
     files : sequence of int
         Files of the map whose format is written in parts.
-    outputs : sequence of (Path, Path)
-        Static and dynamic output of every file of the map.
+    outputs : sequence of sequence of Path
+        Of every file of the map.
     """
-    labels = open_rows(job.rows_path("label"), np.uint8)
-    writers: dict[int, tuple[PartWriter, PartWriter]] = {}
+    writers: dict[int, tuple[PartWriter, ...]] = {}
     parts = []
     for file in files:
-        reader, first_row = job.collection.readers[file], job.collection.first_rows[file]
-        first_static = first_dynamic = 0
-        count = reader.description.point_count
+        mode = mode_of_file(job, file)
+        firsts = (0,) * len(mode.formats)
+        count = mode.reader.description.point_count
         for start in range(0, count, 2 * BATCH):
             rows = range(start, min(start + 2 * BATCH, count))
-            parts.append(OutputPart(file, rows, first_static, first_dynamic))
-            kept = count_kept(labels[first_row + rows.start : first_row + rows.stop])
-            first_static += kept
-            first_dynamic += len(rows) - kept
-        static, dynamic = outputs[file]
-        writers[file] = (
-            reader.part_writer(static.resolve(), first_static),
-            reader.part_writer(dynamic.resolve(), first_dynamic),
+            parts.append(OutputPart(file, rows, firsts))
+            firsts = tuple(map(sum, zip(firsts, mode.counts(rows), strict=True)))
+        writers[file] = tuple(
+            each.part_writer(path.resolve(), points)
+            for each, path, points in zip(mode.formats, outputs[file], firsts, strict=True)
         )
         for writer in writers[file]:
             writer.create()
@@ -156,30 +136,36 @@ def write_part(job: Job, number: int) -> TaskReport:
     """Write one part of the outputs, and keep its summaries."""
     plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
     part = plan.parts[number]
-    first_row = job.collection.first_rows[part.file]
-    labels = open_rows(job.rows_path("label"), np.uint8)
-    firsts = (part.first_static, part.first_dynamic)
+    mode = mode_of_file(job, part.file)
     with ExitStack() as stack:
-        static, dynamic = (
+        outputs = [
             stack.enter_context(writer.open_part(first))
-            for writer, first in zip(plan.writers[part.file], firsts, strict=True)
-        )
-        for batch in job.collection.readers[part.file].batches(BATCH, part.rows):
-            row = first_row + batch.first_row
-            kept = labels[row : row + len(batch.xyz)] != Label.DYNAMIC
-            static.write(batch.select(kept))
-            dynamic.write(batch.select(~kept))
+            for writer, first in zip(plan.writers[part.file], part.firsts, strict=True)
+        ]
+        for batch in mode.reader.batches(BATCH, part.rows):
+            for output, records in zip(outputs, mode.records(batch), strict=True):
+                output.write(records)
     job.work.path("write", number, ".pickle").write_bytes(
-        pickle.dumps((static.summary, dynamic.summary))
+        pickle.dumps([output.summary for output in outputs])
     )
     return TaskReport(len(part.rows))
 
 
+def mode_of_file(job: Job, file: int) -> OutputMode:
+    """Return how the points of a file of the map go into its outputs, by the job's labels."""
+    output, reader = job.configuration.output, job.collection.readers[file]
+    first_row = job.collection.first_rows[file]
+    rows = slice(first_row, first_row + reader.description.point_count)
+    labels = open_rows(job.rows_path("label"), np.uint8)[rows]
+    density = None
+    if output.needs_scores:
+        density = open_rows(job.rows_path("density"), np.float64)[rows]
+    return mode_of(reader, output, labels, density)
+
+
 def finish_parts(job: Job, plan: OutputPlan) -> None:
     """Write what only all parts of an output together tell."""
-    summaries: dict[int, list[tuple[PartSummary, PartSummary]]] = {
-        file: [] for file in plan.writers
-    }
+    summaries: dict[int, list[list[PartSummary]]] = {file: [] for file in plan.writers}
     for number, part in enumerate(plan.parts):
         kept = job.work.path("write", number, ".pickle").read_bytes()
         summaries[part.file].append(pickle.loads(kept))
