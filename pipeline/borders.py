@@ -5,7 +5,7 @@ point there are the k nearest in the map, unless one beyond the region may be ne
 found: then further tiles are read until it cannot.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,6 +21,9 @@ from dynahull.parameters import MethodParameters
 from pipeline.vicinity import Vicinity
 
 _QUERIES_AT_A_TIME = 4_096
+
+_FARTHEST_GATHERED = 8.0
+"""Metres: all that is so near is gathered at once. Farther, it might be more than memory holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +162,7 @@ def core_densities(
         # A hair more than the distance, so that no rounding of it hides a tie.
         reach[members] = np.sqrt(found.squared_reach) * (1 + 1e-9)
     rest = _Rest(known, membership, region, others, clusters, parameters)
-    reached = pending & np.isfinite(reach)
+    reached = pending & (reach <= _FARTHEST_GATHERED)
     density[reached] = rest.within_reach(np.flatnonzero(reached), reach[reached])
     one_by_one = np.flatnonzero(pending & ~reached)
     for cluster in np.unique(membership[one_by_one]):
@@ -225,26 +228,22 @@ class _Rest:
         once, and queries of one cluster and of like reach are done together.
         """
         density = np.empty(len(queries))
-        if not len(queries):
-            return density
-        octaves = np.frexp(reach)[1]
-        vicinities = {
-            octave: Vicinity(self._known.xyz[queries[octaves == octave]], reach[octaves == octave])
-            for octave in np.unique(octaves).tolist()
+        cluster_of, octaves = self._membership[queries], np.frexp(reach)[1]
+        groups = {
+            group: np.flatnonzero((cluster_of == group[0]) & (octaves == group[1]))
+            for group in set(zip(cluster_of.tolist(), octaves.tolist(), strict=True))
         }
-        beyond = self._beyond(list(vicinities.values()))
-        cluster_beyond = self._clusters.nearest(beyond.xyz)
-        cluster_of = self._membership[queries]
-        for cluster in np.unique(cluster_of):
-            inside = np.flatnonzero(self._membership == cluster)
-            outside = beyond.select(cluster_beyond == cluster)
-            for octave in np.unique(octaves[cluster_of == cluster]).tolist():
-                slots = np.flatnonzero((cluster_of == cluster) & (octaves == octave))
-                vicinity = vicinities[octave]
-                near = inside[vicinity.holds(self._known.xyz[inside])]
-                density[slots] = self._densities(
-                    near, outside.select(vicinity.holds(outside.xyz)), queries[slots]
-                )
+        vicinities = {
+            group: Vicinity(self._known.xyz[queries[slots]], reach[slots])
+            for group, slots in groups.items()
+        }
+        beyond = self._beyond(vicinities)
+        for group, slots in groups.items():
+            inside = np.flatnonzero(self._membership == group[0])
+            near = inside[vicinities[group].holds(self._known.xyz[inside])]
+            outside = beyond[group[0]]
+            outside = outside.select(vicinities[group].holds(outside.xyz))
+            density[slots] = self._densities(near, outside, queries[slots])
         return density
 
     def _densities(
@@ -259,25 +258,47 @@ class _Rest:
         found = hull_densities(xyz, rows, self._parameters.neighbours.k, queries=chosen)
         return found.density[chosen]
 
-    def _beyond(self, vicinities: Sequence[Vicinity]) -> FreePoints:
-        """Gather the points of other tiles that queries reach, each tile read once."""
-        low = np.min([vicinity.low for vicinity in vicinities], axis=0)
-        high = np.max([vicinity.high for vicinity in vicinities], axis=0)
-        gathered = [self._known.select(np.zeros(0, np.intp))]
-        for tile in self._others.near(low, high):
-            box_low, box_high = self._others.box(tile)
-            if not any(vicinity.meets(box_low, box_high) for vicinity in vicinities):
-                continue
+    def _beyond(self, vicinities: Mapping[tuple[int, int], Vicinity]) -> dict[int, FreePoints]:
+        """Gather the points of other tiles that queries reach, by cluster; each tile is read once.
+
+        Only points of a query's own cluster are kept: where few are near in this one, the reach is
+        long, and holds many points of others.
+        """
+        nothing = self._known.select(np.zeros(0, np.intp))
+        gathered = {cluster: [nothing] for cluster, _ in vicinities}
+        for tile in self._others_met(list(vicinities.values())):
             points = self._others.free_points(tile)
             near = np.zeros(len(points), np.bool_)
-            for vicinity in vicinities:
+            for vicinity in vicinities.values():
                 near |= vicinity.holds(points.xyz)
             points = points.select(near)
-            gathered.append(points.select(~self._region.holds(points.xyz)))
-        return FreePoints(
-            np.concatenate([part.xyz for part in gathered]),
-            np.concatenate([part.rows for part in gathered]),
-        )
+            points = points.select(~self._region.holds(points.xyz))
+            membership = self._clusters.nearest(points.xyz)
+            for cluster, parts in gathered.items():
+                own = points.select(membership == cluster)
+                reached = np.zeros(len(own), np.bool_)
+                for (of_cluster, _), vicinity in vicinities.items():
+                    if of_cluster == cluster:
+                        reached |= vicinity.holds(own.xyz)
+                parts.append(own.select(reached))
+        return {
+            cluster: FreePoints(
+                np.concatenate([part.xyz for part in parts]),
+                np.concatenate([part.rows for part in parts]),
+            )
+            for cluster, parts in gathered.items()
+        }
+
+    def _others_met(self, vicinities: Sequence[Vicinity]) -> Iterator[int]:
+        """Yield the other tiles that queries reach."""
+        if not vicinities:
+            return
+        low = np.min([vicinity.low for vicinity in vicinities], axis=0)
+        high = np.max([vicinity.high for vicinity in vicinities], axis=0)
+        for tile in self._others.near(low, high):
+            box = self._others.box(tile)
+            if any(vicinity.meets(*box) for vicinity in vicinities):
+                yield tile
 
     def wherever(self, queries: NDArray[np.intp], cluster: int) -> NDArray[np.float64]:
         """Return the density of points of one cluster, wherever their neighbours are."""
