@@ -1,8 +1,9 @@
 """Compiled code is kept for a machine: made once, by whoever comes first, for every later process.
 
 The code lies in a folder of its own, named after the sources it was made from: an upgrade or an
-edit never meets stale code, and two installations never overwrite each other's. Who comes first compiles under a lock, and says so; the
-others wait for it and read what it wrote. Where no folder can be written, each process compiles.
+edit never meets stale code, and two installations never overwrite each other's. Who comes first
+compiles under a lock, and says so; the others wait for it and read what it wrote. Where no folder
+can be written, each process compiles.
 """
 
 import hashlib

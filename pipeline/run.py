@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from dynahull import Label, clean
 from dynahull.errors import MissingClassificationError
+from dynahull.loading import load_libraries
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration, OutputParameters
 from pipeline.errors import InputChangedError, LostPointsError, OutputError
@@ -170,6 +172,8 @@ def clean_in_memory(
     collection: MapCollection, configuration: Configuration, observer: StageObserver
 ) -> CleanedMap:
     """Clean a map of one tile."""
+    # Reading leaves this process time to load what the method needs.
+    Thread(target=load_libraries, daemon=True).start()
     points, classification = read_points(collection, observer)
     result = clean(
         points,

@@ -10,7 +10,7 @@ from time import monotonic
 import numpy as np
 import pytest
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()"]
 
 
 def call(*arguments, **options):

@@ -18,7 +18,7 @@ from pipeline.run import run
 from pipeline.tiles import stages
 from pipeline.tiles.status import status_text
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "run"]
+COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
 SETTINGS = [
     "neighbours.k=8",
     "clustering.count=3",

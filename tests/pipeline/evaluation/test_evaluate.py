@@ -27,7 +27,12 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from tiling.errors import MapFormatError
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "evaluate"]
+COMMAND = [
+    sys.executable,
+    "-c",
+    "from pipeline.cli import leave_at_once; leave_at_once()",
+    "evaluate",
+]
 NO_TRANSPORT = EvaluationOptions(emd_points=0)
 
 
