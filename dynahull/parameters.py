@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -139,8 +139,14 @@ def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
 
 def _allowed_keys(sections: Sequence[int | str], model: type[BaseModel]) -> list[str]:
     for section in sections:
-        inner = model.model_fields[str(section)].annotation
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+        if isinstance(section, int):  # of a list, whose model is known
+            continue
+        inner = model.model_fields[section].annotation
+        candidates = [inner, *get_args(inner)]
+        models = [
+            each for each in candidates if isinstance(each, type) and issubclass(each, BaseModel)
+        ]
+        if not models:
             return []
-        model = inner
+        model = models[0]
     return list(model.model_fields)
