@@ -122,6 +122,10 @@ class OutputParameters(BaseModel):
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
     )
+    report: Literal["html", "none"] = Field(
+        "html",
+        description="`html`: write report.html, a page that shows what the run did, offline.",
+    )
     labels: bool = Field(
         False, description="Write labels.parquet: label, cluster and density of every point."
     )

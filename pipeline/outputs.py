@@ -21,6 +21,7 @@ from tiling.formats import MapReader
 RUN_FILE = "run.json"
 CONFIGURATION_FILE = "config.yaml"
 LABELS_FILE = "labels.parquet"
+REPORT_FILE = "report.html"
 STAGING = ".dynahull-partial"
 
 
@@ -65,11 +66,12 @@ class OutputNames:
         """The outputs of each input file."""
         return tuple(zip(*self.by_kind.values(), strict=True))
 
-    def all_files(self, labels: bool) -> tuple[Path, ...]:
+    def all_files(self, labels: bool, page: bool) -> tuple[Path, ...]:
         """Return every file of the run, `run.json` last."""
-        tables = (Path(LABELS_FILE),) if labels else ()
+        more = [Path(LABELS_FILE)] if labels else []
+        more += [Path(REPORT_FILE)] if page else []
         maps = [name for names in self.by_kind.values() for name in names]
-        return (*maps, *tables, Path(CONFIGURATION_FILE), Path(RUN_FILE))
+        return (*maps, *more, Path(CONFIGURATION_FILE), Path(RUN_FILE))
 
 
 def default_folder(paths: Sequence[Path]) -> Path:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
 from pipeline.machine import peak_memory
-from pipeline.outputs import LABELS_FILE, RUN_FILE, OutputNames
+from pipeline.outputs import LABELS_FILE, REPORT_FILE, RUN_FILE, OutputNames
 from pipeline.progress import StageObserver
 from tiling.formats.collection import MapCollection
 
@@ -122,7 +122,12 @@ class RunReport(BaseModel):
             version=version("dynahull-pipeline"),
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
             output=str(folder),
-            outputs=[str(name) for name in names.all_files(configuration.output.labels)],
+            outputs=[
+                str(name)
+                for name in names.all_files(
+                    configuration.output.labels, configuration.output.report == "html"
+                )
+            ],
             input_hash=input_hash,
             files=_input_files(collection, names),
             points=collection.point_count,
@@ -165,6 +170,8 @@ class RunReport(BaseModel):
             written = list(dict.fromkeys(path.parent for path in written))
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
+        if self.configuration["output"]["report"] == "html":
+            written.append(folder / REPORT_FILE)
         lines.append("written: " + ", ".join(str(path) for path in [*written, folder / RUN_FILE]))
         return "\n".join(lines)
 

@@ -31,6 +31,7 @@ from pipeline.output_modes import check_mode, mode_of
 from pipeline.outputs import (
     CONFIGURATION_FILE,
     LABELS_FILE,
+    REPORT_FILE,
     RUN_FILE,
     OutputNames,
     default_folder,
@@ -39,11 +40,15 @@ from pipeline.outputs import (
 from pipeline.plan import check_plan, is_one_tile, worker_memory_limit
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
+from pipeline.report_page.page import render_page
+from pipeline.report_page.sample import MapSample
+from pipeline.report_page.tile_chart import TileWork
 from pipeline.tiles.cleaning import clean_tiles, exhaust
 from pipeline.tiles.execution import Executor, InProcess, local_workers, running_cluster
 from pipeline.tiles.fork_server import start_fork_server
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.rows import open_rows
+from pipeline.tiles.sampling import gather_sample, tile_work
 from pipeline.tiles.stages import do_stage
 from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.tiles.writing import BATCH, check_written, finish_parts, plan_parts, write_stream
@@ -63,6 +68,10 @@ class CleanedMap:
     counts : dict of str to int
         Points of each label.
     clusters : tuple of ClusterSummary
+    sample : MapSample or None
+        What the report shows; None where none is wanted.
+    tiles : TileWork or None
+        What they took; None where no report is wanted, or the map is one tile.
     """
 
     labels: NDArray[np.uint8]
@@ -70,6 +79,8 @@ class CleanedMap:
     density: NDArray[np.float64] | None
     counts: dict[str, int]
     clusters: tuple[ClusterSummary, ...]
+    sample: MapSample | None = None
+    tiles: TileWork | None = None
 
 
 def run(
@@ -119,7 +130,8 @@ def run(
         observer.warn(note)
     check_mode(collection.readers, configuration.output)
     names = OutputNames.of(collection.readers, configuration.output.mode)
-    results = names.all_files(configuration.output.labels)
+    wants_page = configuration.output.report == "html"
+    results = names.all_files(configuration.output.labels, wants_page)
     with output_folder(folder, results, paths) as staging:
         one_tile = is_one_tile(collection, configuration)
         if not one_tile:
@@ -162,6 +174,9 @@ def run(
             observer,
         )
         (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
+        if cleaned.sample is not None:
+            page = render_page(report, cleaned.sample, cleaned.tiles)
+            (staging / REPORT_FILE).write_text(page, encoding="utf-8")
         (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     if not configuration.output.keep_work:
         remove_work(work)
@@ -182,8 +197,11 @@ def clean_in_memory(
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
+    sample = None
+    if configuration.output.report == "html":
+        sample = MapSample.of_map(points, result.labels, result.cluster, result.density)
     return CleanedMap(
-        result.labels, result.cluster, result.density, result.counts(), result.clusters
+        result.labels, result.cluster, result.density, result.counts(), result.clusters, sample
     )
 
 
@@ -203,13 +221,17 @@ def clean_in_tiles(
             lambda plan: check_plan(plan, job.configuration, job.root),
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
+        sample, tiles = None, None
+        if job.configuration.output.report == "html":
+            exhaust(do_stage(job, executor, observer, "sample", job.store.layout.counts.tolist()))
+            sample, tiles = gather_sample(job), tile_work(job)
         output = job.configuration.output
         cluster, density = None, None
         if output.needs_scores:
             cluster = open_rows(job.rows_path("cluster"), np.int32)
             density = open_rows(job.rows_path("density"), np.float64)
         write_maps(collection, output, labels, density, names, staging, observer, job, executor)
-    return CleanedMap(labels, cluster, density, result.counts, result.clusters)
+    return CleanedMap(labels, cluster, density, result.counts, result.clusters, sample, tiles)
 
 
 def prepare_workers(configuration: Configuration) -> None:
@@ -285,7 +307,8 @@ def open_job(
 def job_key(digest: str, configuration: Configuration) -> str:
     """Return the hash of all that decides what tasks leave: map, configuration, version."""
     decisive = configuration.model_dump(mode="json", exclude={"execution"})
-    decisive["output"] = {"labels": configuration.output.needs_scores}
+    output = configuration.output
+    decisive["output"] = {"labels": output.needs_scores, "report": output.report}
     text = json.dumps([version("dynahull-pipeline"), digest, decisive], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

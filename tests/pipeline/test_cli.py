@@ -56,7 +56,8 @@ def test_run_writes_the_results_and_says_what_was_removed(map_file, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "wall_dynahull"
-    names = {"static.npy", "dynamic.npy", "labels.parquet", "run.json", "config.yaml"}
+    names = {"static.npy", "dynamic.npy", "labels.parquet", "report.html"}
+    names |= {"run.json", "config.yaml"}
     assert {path.name for path in folder.iterdir()} == names
     report = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert f"{report['counts']['dynamic']} of 1,054 points removed" in done.stdout

@@ -25,6 +25,7 @@ FAST = [
     "execution.cluster=none",
     "output.mode=label",
     "output.labels=true",
+    "output.report=none",
     "ground.slope.window=0.3",
     "ground.slope.extension=0.3",
     "ground.slope.storey_radius=0.5",

@@ -48,11 +48,11 @@ def cleaned(maps, folder, *settings, config=None):
 
 
 def contents(folder):
-    """The bytes of all results but the report, which holds times."""
+    """The bytes of all results but the reports, which hold times."""
     return {
         path.relative_to(folder): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "run.json"
+        if path.is_file() and path.name not in ("run.json", "report.html")
     }
 
 

@@ -146,8 +146,8 @@ def test_only_what_was_not_done_is_done_when_the_run_goes_on(
     assert tiles > 6
     before = markers(interrupted)
     report = cleaned(map_file, interrupted, "output.keep_work=true")
-    labels = {("label", tile) for tile in range(tiles)}
-    assert sorted(done_tasks) == sorted([("density", 4), *labels, ("write", 0)])
+    after = {(stage, tile) for stage in ("label", "sample") for tile in range(tiles)}
+    assert sorted(done_tasks) == sorted([("density", 4), *after, ("write", 0)])
     assert before.items() <= markers(interrupted).items()
     assert report.warnings == []
     assert results(interrupted) == expected
@@ -253,7 +253,8 @@ def test_fresh_starts_over_without_a_warning(map_file, interrupted, expected, do
 
 
 def test_the_work_folder_is_gone_after_success_unless_it_is_to_be_kept(map_file, tmp_path):
-    names = {"static.npy", "dynamic.npy", "labels.parquet", "config.yaml", "run.json"}
+    names = {"static.npy", "dynamic.npy", "labels.parquet", "report.html"}
+    names |= {"config.yaml", "run.json"}
     cleaned(map_file, tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     cleaned(map_file, tmp_path / "out", "output.keep_work=true")

@@ -1,0 +1,151 @@
+"""What other removal amounts would take: the numbers behind the slider of the report.
+
+The slider is `removal.max_percent`; `removal.min_percent` goes with it, in the run's own ratio.
+Eq. 1 is linear in the two, so that R_i is in proportion to the slider, and each scored point has
+one amount from which on it is removed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+from pipeline.report import ClusterReport
+from pipeline.report_page.sample import MapSample
+
+NEVER = np.inf
+"""The amount of points that no setting removes: ground, and points of infinite density."""
+
+TABLE_STEP = 0.1
+"""Percent between two entries of the table of removed points."""
+
+_CUT_STEP = 1.0
+"""Percent between two entries of the table of cuts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Amounts:
+    """What each amount takes.
+
+    Attributes
+    ----------
+    own : float
+        The run's `removal.max_percent`.
+    removed_from : (n,) float64 array
+        For each sampled point the amount, in percent, from which on it goes; `NEVER` is possible.
+        What the run removed is at or below `own`, and the rest above it.
+    removed_points : (1001,) int64 array
+        Points of the whole map that go at 0, 0.1 ... 100 %: R_i of N_i by Eq. 1, as far as points
+        of finite density last, whose share of a cluster is that in the sample.
+    cuts : dict of int to (101,) float64 array
+        For each cluster the density of the densest point that goes at 0, 1 ... 100 %, from the
+        sample; NaN where none goes.
+    margin : float
+        Percent of its points by which the cut of a cluster in the sample may be off (95 %).
+    """
+
+    own: float
+    removed_from: NDArray[np.float64]
+    removed_points: NDArray[np.int64]
+    cuts: dict[int, NDArray[np.float64]]
+    margin: float
+
+
+def removal_amounts(
+    sample: MapSample, clusters: Sequence[ClusterReport], removal: dict[str, Any]
+) -> Amounts:
+    """Find what each amount takes.
+
+    Parameters
+    ----------
+    sample : MapSample
+    clusters : sequence of ClusterReport
+        As the run reports them.
+    removal : dict
+        The section of that name in the run's configuration.
+    """
+    own = float(removal["max_percent"])
+    steps = np.arange(round(100 / TABLE_STEP) + 1) * TABLE_STEP
+    removed_from = np.full(len(sample), NEVER)
+    removed = np.zeros(len(steps))
+    margin = 0.0
+    cuts = {}
+    members_of = _members(sample)
+    for cluster in clusters:
+        members = members_of.get(cluster.index, np.empty(0, np.intp))
+        density = sample.density[members]
+        order = members[np.lexsort((sample.rows[members], density))]
+        order = order[np.isfinite(sample.density[order])]
+        rate = _share_per_percent(cluster, removal)
+        finite = _removable(cluster, len(order), len(members), rate * own)
+        gone = int(np.count_nonzero(sample.labels[order] == Label.DYNAMIC))
+        amount = _amounts_in_order(len(order), gone, cluster, finite, rate)
+        removed_from[order] = np.concatenate(
+            [np.minimum(amount[:gone], own), np.maximum(amount[gone:], np.nextafter(own, np.inf))]
+        )
+        removed += np.minimum(np.floor(rate * steps * cluster.count + 1e-6), finite)
+        cuts[cluster.index] = _cut_table(sample.density[order], removed_from[order])
+        if len(members):
+            share = cluster.removed / max(cluster.count, 1)
+            margin = max(margin, 196 * float(np.sqrt(share * (1 - share) / len(members))))
+    if len(sample) == sample.total:
+        margin = 0.0
+    return Amounts(own, removed_from, removed.astype(np.int64), cuts, margin)
+
+
+def _members(sample: MapSample) -> dict[int, NDArray[np.intp]]:
+    """Return, for each cluster, the indices of its sampled points."""
+    order = np.argsort(sample.cluster, kind="stable")
+    found, starts = np.unique(sample.cluster[order], return_index=True)
+    return dict(zip(found.tolist(), np.split(order, starts[1:]), strict=True)) if len(found) else {}
+
+
+def _share_per_percent(cluster: ClusterReport, removal: dict[str, Any]) -> float:
+    """Return the share of a cluster that each percent of the slider takes."""
+    if removal["max_percent"] == 0:
+        return 0.01  # there is no ratio to keep
+    share = cluster.removal_percent / 100
+    if removal["threshold"] == "stepped" and cluster.removed:
+        share = cluster.removed / cluster.count  # the last step takes more than R_i
+    return float(share / removal["max_percent"])
+
+
+def _removable(cluster: ClusterReport, finite: int, sampled: int, share: float) -> float:
+    """Estimate how many points of a cluster have a finite density."""
+    if cluster.removed < np.floor(share * cluster.count + 1e-6) - 1:
+        return cluster.removed  # all there were
+    if finite == sampled:
+        return cluster.count
+    return max(cluster.removed, cluster.count * finite / sampled)
+
+
+def _amounts_in_order(
+    count: int, gone: int, cluster: ClusterReport, finite: float, rate: float
+) -> NDArray[np.float64]:
+    """Return the amounts of a cluster's sampled points in the order in which they go.
+
+    Those that the run removed stand for all that it removed, the rest for the rest.
+    """
+    if rate == 0 or cluster.count == 0:
+        return np.full(count, NEVER)
+    ranks = np.empty(count)
+    ranks[:gone] = (np.arange(gone) + 0.5) * cluster.removed / max(gone, 1)
+    left = count - gone
+    ranks[gone:] = cluster.removed + (np.arange(left) + 0.5) * (
+        (finite - cluster.removed) / max(left, 1)
+    )
+    amounts = ranks / cluster.count / rate
+    return np.where(amounts <= 100, amounts, NEVER)
+
+
+def _cut_table(
+    density: NDArray[np.float64], removed_from: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    amounts = np.arange(round(100 / _CUT_STEP) + 1) * _CUT_STEP
+    count = np.searchsorted(removed_from, amounts, side="right")
+    if not len(density):
+        return np.full(len(amounts), np.nan)
+    return np.where(count > 0, density[np.maximum(count - 1, 0)], np.nan)

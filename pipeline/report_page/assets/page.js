@@ -1,0 +1,155 @@
+// Slider, switches and sections, and all that follows them.
+"use strict";
+
+(() => {
+  const { facts, state } = report;
+  const byId = (name) => document.getElementById(name);
+  const written = (number) => number.toLocaleString("en-GB");
+  const rounded = (number) => Number(number.toFixed(4));
+  const scene = makeScene();
+  const views = ["before", "after"].map((when) => ({
+    top: new View(byId(`top-${when}`), when === "before"),
+    section: new View(byId(`section-${when}`), when === "before"),
+  }));
+
+  // Where most of what the run removed lies, and how thick a slice holds enough points to be read.
+  const section = { across: facts.span[1] > facts.span[0] ? 1 : 0, place: 0.5, thickness: 1 };
+  function mostRemoved(axis) {
+    const bins = new Uint32Array(40);
+    for (let point = 0; point < facts.count; point++) {
+      if (kindOf(point) === 1) bins[Math.min(39, (report.places[3 * point + axis] * 40) >> 16)]++;
+    }
+    return (bins.indexOf(Math.max(...bins)) + 0.5) / 40;
+  }
+  function offerThickness() {
+    const span = facts.span[1 - section.across];
+    const choices = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100].filter((each) => each < span);
+    const wanted = span * Math.min(1, Math.max(0.02, 9000 / Math.max(facts.count, 1)));
+    const options = [...choices, span];
+    section.thickness = options.find((each) => each >= wanted) || span;
+    byId("thickness").replaceChildren(...options.map((each) => {
+      const all = each === span;
+      const option = new Option(all ? "all of it" : metres(each), each);
+      option.selected = each === section.thickness;
+      return option;
+    }));
+  }
+  function direct(across) {
+    section.across = across;
+    section.place = mostRemoved(1 - across);
+    byId("direction").value = across;
+    byId("place").value = Math.round(1000 * section.place);
+    offerThickness();
+  }
+
+  function drawSection() {
+    const axis = 1 - section.across;
+    const middle = section.place * facts.span[axis];
+    const half = section.thickness / 2;
+    const slice = { axis, from: middle - half, to: middle + half };
+    byId("place-value").textContent =
+      `${axis ? "y" : "x"} = ${metres(facts.low[axis] + middle)}`;
+    for (const view of views) view.section.draw([section.across, 2], slice);
+  }
+  function drawViews() {
+    for (const view of views) view.top.draw([0, 1], null);
+    drawSection();
+  }
+  let asked = false;
+  function draw() {
+    if (scene) scene.update();
+    if (!asked) requestAnimationFrame(() => { asked = false; drawViews(); });
+    asked = true;
+  }
+
+  // Where a cluster would be cut, between two entries of a table of whole percents.
+  function drawCuts(amount) {
+    for (const line of document.querySelectorAll("path.cut")) {
+      const places = line.dataset.places.split(",");
+      const low = Math.floor(amount), high = Math.min(low + 1, 100);
+      const [from, to] = line.dataset.line.split(" ");
+      const ends = [places[low], places[high]];
+      if (ends[1] === "" || amount === 0) { line.setAttribute("d", "M0 0"); continue; }
+      const start = Number(ends[0] === "" ? ends[1] : ends[0]);
+      const at = start + (Number(ends[1]) - start) * (amount - low);
+      line.setAttribute("d", `M${at.toFixed(1)} ${from}V${to}`);
+    }
+  }
+
+  function setAmount(amount, isOwn) {
+    state.code = isOwn ? facts.own_code : Math.round(600 * amount);
+    const removed = isOwn ? facts.removed
+      : facts.removed_points[Math.round(amount / facts.table_step)];
+    const share = facts.total ? (100 * removed) / facts.total : 0;
+    byId("amount-value").textContent = `${rounded(amount)} %`;
+    byId("removed-count").textContent = written(removed);
+    byId("removed-share").textContent = `points, ${share.toFixed(1)} % of the map,`;
+    byId("removed-kind").textContent = isOwn ? "removed in this run" : "would be removed";
+    const least = isOwn ? facts.min_percent : amount * facts.min_ratio;
+    byId("settings").textContent = `--set removal.min_percent=${rounded(least)} ` +
+      `--set removal.max_percent=${rounded(amount)}`;
+    drawCuts(amount);
+    draw();
+  }
+  function reset() {
+    byId("amount").value = facts.own;
+    setAmount(facts.own, true);
+  }
+
+  byId("amount").addEventListener("input", (event) => {
+    const amount = Number(event.target.value);
+    const nearest = Math.abs(amount - facts.own) <= facts.table_step / 2;
+    setAmount(nearest ? facts.own : amount, nearest);
+  });
+  byId("reset").addEventListener("click", reset);
+  byId("copy").addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(byId("settings").textContent);
+      byId("copy").textContent = "Copied";
+    } catch {
+      window.getSelection().selectAllChildren(byId("settings"));
+    }
+  });
+  for (const kind of KINDS) {
+    byId(`show-${kind}`).addEventListener("change", (event) => {
+      state[kind] = event.target.checked;
+      draw();
+    });
+  }
+  const hasOther = report.labels.some((label) => label > 2);
+  byId("show-other").parentElement.hidden = !hasOther;
+  byId("direction").addEventListener("change", (event) => {
+    direct(Number(event.target.value));
+    drawSection();
+  });
+  byId("place").addEventListener("input", (event) => {
+    section.place = Number(event.target.value) / 1000;
+    drawSection();
+  });
+  byId("thickness").addEventListener("change", (event) => {
+    section.thickness = Number(event.target.value);
+    drawSection();
+  });
+  byId("outside").textContent = facts.outside
+    ? `${written(facts.outside)} of the sampled points lie far away from all others and are not shown.`
+    : "";
+
+  const inScene = ["colour", "size", "from-above", "from-side"];
+  if (scene) {
+    byId("colour").addEventListener("change", (event) => scene.colour(Number(event.target.value)));
+    byId("size").addEventListener("input", (event) => scene.size(Number(event.target.value)));
+    byId("from-above").addEventListener("click", scene.fromAbove);
+    byId("from-side").addEventListener("click", scene.fromSide);
+  }
+  for (const control of document.querySelectorAll("input, select, button")) {
+    control.disabled = !scene && inScene.includes(control.id);
+  }
+  direct(section.across);
+  reset();
+  let width = 0;
+  new ResizeObserver(() => {
+    if (document.body.clientWidth !== width) draw();
+    width = document.body.clientWidth;
+  }).observe(document.body);
+  document.documentElement.dataset.ready = "yes";
+})();

@@ -1,0 +1,214 @@
+// The 3D view: all points in one buffer; the slider and the switches are numbers of its shader.
+"use strict";
+
+const VERTEX_SHADER = `
+  attribute float amount;
+  attribute float label;
+  attribute float cluster;
+  attribute float density;
+  uniform float code;
+  uniform float size;
+  uniform float pixels;
+  uniform int mode;
+  uniform vec4 shown;
+  uniform vec3 colours[4];
+  uniform vec2 heights;
+  varying vec3 tone;
+
+  vec3 ramp(float t) {  // viridis, as a polynomial
+    t = clamp(t, 0.0, 1.0);
+    const vec3 c0 = vec3(0.2777, 0.0054, 0.3341);
+    const vec3 c1 = vec3(0.1051, 1.4046, 1.3846);
+    const vec3 c2 = vec3(-0.3309, 0.2148, 0.0951);
+    const vec3 c3 = vec3(-4.6342, -5.7991, -19.3324);
+    const vec3 c4 = vec3(6.2283, 14.1799, 56.6906);
+    const vec3 c5 = vec3(4.7764, -13.7451, -65.3530);
+    const vec3 c6 = vec3(-5.4355, 4.6459, 26.3124);
+    return c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * (c5 + t * c6)))));
+  }
+
+  void main() {
+    int kind = label > 2.5 ? 3 : label > 1.5 ? 2 : amount <= code ? 1 : 0;
+    float visible = kind == 3 ? shown.w : kind == 2 ? shown.z : kind == 1 ? shown.y : shown.x;
+    float height = clamp((position.z - heights.x) / max(heights.y - heights.x, 1e-6), 0.0, 1.0);
+    if (mode == 1) tone = ramp(height);
+    else if (mode == 2) tone = density > 254.5 ? vec3(0.75) : ramp(density / 254.0);
+    else if (mode == 3) {
+      int index = int(mod(cluster, 6.0));
+      tone = label > 1.5 ? vec3(0.75)
+        : index == 0 ? vec3(0.90, 0.62, 0.0) : index == 1 ? vec3(0.34, 0.71, 0.91)
+        : index == 2 ? vec3(0.0, 0.62, 0.45) : index == 3 ? vec3(0.80, 0.47, 0.65)
+        : index == 4 ? vec3(0.0, 0.45, 0.70) : vec3(0.60, 0.60, 0.10);
+    } else {
+      tone = kind == 3 ? colours[3] : kind == 2 ? colours[2] : kind == 1 ? colours[1] : colours[0];
+      if (kind != 1) tone = mix(tone * 0.75, mix(tone, vec3(1.0), 0.3), height);
+    }
+    if (mode != 0 && kind == 1) tone = mix(tone, colours[1], 0.35);
+    vec4 seen = modelViewMatrix * vec4(position, 1.0);
+    gl_Position = visible > 0.5 ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
+    gl_PointSize = pixels * size * (kind == 1 ? 1.5 : 1.0);
+  }`;
+
+const FRAGMENT_SHADER = `
+  varying vec3 tone;
+  void main() {
+    vec2 off = gl_PointCoord - vec2(0.5);
+    if (dot(off, off) > 0.25) discard;
+    gl_FragColor = vec4(tone, 1.0);
+  }`;
+
+function makeScene() {
+  const canvas = document.getElementById("scene-canvas");
+  let renderer;
+  try {
+    const wanted = { antialias: true, preserveDrawingBuffer: true };
+    const context = canvas.getContext("webgl2", wanted);
+    if (!context) throw new Error("no WebGL");
+    renderer = new THREE.WebGLRenderer({ canvas, context, ...wanted });
+  } catch {
+    document.getElementById("no-webgl").hidden = false;
+    canvas.hidden = true;
+    return null;
+  }
+  renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
+  renderer.setClearColor(0xffffff, 1);
+  const { facts } = report;
+  const [width, depth, height] = facts.span;
+  const centre = [width / 2, depth / 2, height / 2];
+  const radius = Math.hypot(width, depth, height) / 2 || 1;
+
+  const count = facts.count;
+  const position = new Float32Array(3 * count);
+  for (let i = 0; i < 3 * count; i++) {
+    position[i] = (report.places[i] / 65535) * facts.span[i % 3] - centre[i % 3];
+  }
+  const geometry = new THREE.BufferGeometry();
+  const attach = (name, array, size) =>
+    geometry.setAttribute(name, new THREE.BufferAttribute(array, size));
+  attach("position", position, 3);
+  attach("amount", Float32Array.from(report.amounts), 1);
+  attach("label", Float32Array.from(report.labels), 1);
+  attach("cluster", Float32Array.from(report.clusters), 1);
+  attach("density", Float32Array.from(report.densities), 1);
+  const uniforms = {
+    code: { value: report.state.code },
+    size: { value: 2 },
+    pixels: { value: 1 },
+    mode: { value: 0 },
+    shown: { value: [1, 1, 1, 1] },
+    colours: { value: COLOURS.map((each) => new THREE.Color(...each.map((part) => part / 255))) },
+    heights: { value: [-height / 2, height / 2] },
+  };
+  const material = new THREE.ShaderMaterial({
+    uniforms, vertexShader: VERTEX_SHADER, fragmentShader: FRAGMENT_SHADER,
+  });
+  const cloud = new THREE.Points(geometry, material);
+  cloud.frustumCulled = false;
+  const scene = new THREE.Scene();
+  scene.add(cloud);
+
+  const camera = new THREE.PerspectiveCamera(45, 1, radius / 500, radius * 20);
+  camera.up.set(0, 0, 1);
+  const controls = new THREE.OrbitControls(camera, canvas);
+  let asked = false;
+  const draw = () => {
+    asked = false;
+    renderer.render(scene, camera);
+    showScale();
+  };
+  const ask = () => {
+    if (!asked) requestAnimationFrame(draw);
+    asked = true;
+  };
+  controls.addEventListener("change", ask);
+
+  function showScale() {
+    const distance = camera.position.distanceTo(controls.target);
+    const across = 2 * distance * Math.tan((camera.fov * Math.PI) / 360) * camera.aspect;
+    document.getElementById("scale").textContent = `about ${metres(across)} from left to right`;
+  }
+  // Some of the points stand for all; the middle of nearly all of them is what the view turns about.
+  const some = [];
+  for (let i = 0; i < count; i += Math.ceil(count / 4000)) {
+    some.push(new THREE.Vector3().fromArray(position, 3 * i));
+  }
+  const quantile = (values, share) => {
+    const sorted = Float32Array.from(values).sort();
+    return sorted.length ? sorted[Math.floor(share * (sorted.length - 1))] : 0;
+  };
+  const middle = new THREE.Vector3(...["x", "y", "z"].map((axis) => {
+    const values = some.map((place) => place[axis]);
+    return (quantile(values, 0.02) + quantile(values, 0.98)) / 2;
+  }));
+
+  function lookFrom(x, y, z) {
+    controls.target.copy(middle);
+    const toward = new THREE.Vector3(x, y, z).normalize();
+    camera.position.copy(middle).addScaledVector(toward, radius);
+    controls.update();
+    camera.updateMatrixWorld();
+    const [right, up] = [0, 1].map((axis) => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, axis));
+    const tangent = Math.tan((camera.fov * Math.PI) / 360);
+    // As near as nearly all points allow.
+    const needed = some.map((place) => {
+      const from = place.clone().sub(middle);
+      const beside = Math.abs(from.dot(right)) / camera.aspect, above = Math.abs(from.dot(up));
+      return from.dot(toward) + Math.max(beside, above) / tangent;
+    });
+    const distance = Math.max(1.06 * quantile(needed, 0.99), radius / 100);
+    camera.position.copy(middle).addScaledVector(toward, distance);
+    controls.update();
+    ask();
+  }
+  function turn(around, up) {
+    const offset = camera.position.clone().sub(controls.target);
+    const length = offset.length();
+    const angle = Math.atan2(offset.y, offset.x) + around;
+    const rise = Math.min(1.55, Math.max(-1.55, Math.asin(offset.z / length) + up));
+    offset.set(Math.cos(rise) * Math.cos(angle), Math.cos(rise) * Math.sin(angle), Math.sin(rise));
+    camera.position.copy(controls.target).addScaledVector(offset, length);
+    controls.update();
+    ask();
+  }
+  function approach(factor) {
+    camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
+    controls.update();
+    ask();
+  }
+  const keys = {
+    ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0),
+    ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
+    "+": () => approach(0.85), "=": () => approach(0.85), "-": () => approach(1.18),
+  };
+  canvas.addEventListener("keydown", (event) => {
+    if (!keys[event.key]) return;
+    event.preventDefault();
+    keys[event.key]();
+  });
+  function fit() {
+    const box = canvas.parentElement;
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    renderer.setPixelRatio(ratio);
+    renderer.setSize(box.clientWidth, box.clientHeight, false);
+    uniforms.pixels.value = ratio;
+    camera.aspect = box.clientWidth / Math.max(box.clientHeight, 1);
+    camera.updateProjectionMatrix();
+    ask();
+  }
+  fit();
+  new ResizeObserver(fit).observe(canvas.parentElement);
+  // The longer side of the map lies across the view.
+  const oblique = () => (depth > width ? lookFrom(1.4, -0.5, 1.0) : lookFrom(-0.5, -1.4, 1.0));
+  oblique();
+  return {
+    update() {
+      uniforms.code.value = report.state.code;
+      uniforms.shown.value = KINDS.map((kind) => (report.state[kind] ? 1 : 0));
+      ask();
+    },
+    colour(mode) { uniforms.mode.value = mode; ask(); },
+    size(value) { uniforms.size.value = value; ask(); },
+    fromAbove() { lookFrom(0, -0.001, 1); },
+    fromSide() { if (depth > width) lookFrom(1, 0, 0.02); else lookFrom(0, -1, 0.02); },
+  };
+}

@@ -1,0 +1,131 @@
+"""The sample as the page holds it: a few bytes a point, in base64.
+
+Coordinates are rounded to the 65,535th part of the map's extent and densities to a 255th of their
+range, which is finer than a screen shows. Nothing but pictures is made of them.
+"""
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+from pipeline.report_page.amounts import NEVER, Amounts
+from pipeline.report_page.sample import MapSample
+
+AMOUNT_CODES = 600
+"""Codes for each percent of the slider."""
+
+NEVER_CODE = 65_535
+
+_MOST = 65_535
+_NO_DENSITY = 255
+_OUTLIERS = 0.001
+"""Share of the points, at either end of an axis, that do not decide what the views show."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedSample:
+    """What the page's scripts read.
+
+    Attributes
+    ----------
+    arrays : dict of str to str
+        Base64 of little-endian numbers, by name.
+    facts : dict
+        How to read them.
+    """
+
+    arrays: dict[str, str]
+    facts: dict[str, Any]
+
+
+def encode(sample: MapSample, amounts: Amounts) -> EncodedSample:
+    """Encode a sample.
+
+    Parameters
+    ----------
+    sample : MapSample
+    amounts : Amounts
+        Of the same points.
+    """
+    low, high = view_bounds(sample.xyz)
+    shown = ((sample.xyz >= low) & (sample.xyz <= high)).all(axis=1)
+    span = np.where(high > low, high - low, 1.0)
+    places = np.rint((sample.xyz[shown] - low) / span * _MOST)
+    density, density_range = _density_codes(sample.density[shown])
+    arrays = {
+        "places": places.astype("<u2"),
+        "amounts": _amount_codes(amounts)[shown],
+        "labels": _labels(sample.labels[shown]),
+        "clusters": (sample.cluster[shown] % 250).astype(np.uint8),
+        "densities": density,
+    }
+    facts = {
+        "count": int(np.count_nonzero(shown)),
+        "outside": int(np.count_nonzero(~shown)),
+        "sampled": len(sample),
+        "total": sample.total,
+        "low": low.tolist(),
+        "span": span.tolist(),
+        "own": amounts.own,
+        "own_code": _own_code(amounts.own),
+        "density_range": density_range,
+        "margin": amounts.margin,
+    }
+    encoded = {name: base64.b64encode(array.tobytes()).decode() for name, array in arrays.items()}
+    return EncodedSample(encoded, facts)
+
+
+def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the box that the views show: all points but those far away from nearly all others.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64 array
+    """
+    if not len(xyz):
+        return np.zeros(3), np.ones(3)
+    near, far = np.quantile(xyz, [_OUTLIERS, 1 - _OUTLIERS], axis=0)
+    spread = far - near
+    margin = np.maximum(spread, spread.max() / 10) / 2
+    return (
+        np.maximum(xyz.min(axis=0), near - margin),
+        np.minimum(xyz.max(axis=0), far + margin),
+    )
+
+
+def _own_code(own: float) -> int:
+    return round(own * AMOUNT_CODES)
+
+
+def _amount_codes(amounts: Amounts) -> NDArray[np.uint16]:
+    """Round amounts, so that what the run removed is at or below its own code, and nothing else."""
+    own = _own_code(amounts.own)
+    codes = np.full(len(amounts.removed_from), NEVER_CODE, "<u2")
+    known = amounts.removed_from < NEVER
+    code = np.rint(amounts.removed_from[known] * AMOUNT_CODES)
+    removed = amounts.removed_from[known] <= amounts.own
+    codes[known] = np.where(removed, np.minimum(code, own), np.maximum(code, own + 1))
+    return codes
+
+
+def _labels(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return labels of which the amount decides between static and dynamic."""
+    return np.where(labels == Label.DYNAMIC, np.uint8(Label.STATIC), labels).astype(np.uint8)
+
+
+def _density_codes(
+    density: NDArray[np.float64],
+) -> tuple[NDArray[np.uint8], tuple[float, float] | None]:
+    """Round the logarithm of densities within the range that nearly all of them have."""
+    codes = np.full(len(density), _NO_DENSITY, np.uint8)
+    finite = np.isfinite(density)
+    if not finite.any():
+        return codes, None
+    low, high = np.quantile(np.log10(density[finite]), [0.005, 0.995]).tolist()
+    place = (np.log10(density[finite]) - low) / ((high - low) or 1.0)
+    codes[finite] = np.rint(np.clip(place, 0, 1) * (_NO_DENSITY - 1))
+    return codes, (low, high)

@@ -1,0 +1,125 @@
+"""The points that a report shows: a sample that row numbers decide.
+
+It is the same however a map is cut, and of the same size however large the map is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+
+MOST_POINTS = 300_000
+"""Points that a report shows, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapSample:
+    """Some points of a map, and what the method made of them; invalid points are not among them.
+
+    Attributes
+    ----------
+    total : int
+        Points of the whole map.
+    rows : (n,) int64 array
+        Row numbers, ascending.
+    xyz : (n, 3) float64 array
+        Metres.
+    labels : (n,) uint8 array
+    cluster : (n,) int32 array
+        -1 where not clustered.
+    density : (n,) float64 array
+        NaN where not scored.
+    """
+
+    total: int
+    rows: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    labels: NDArray[np.uint8]
+    cluster: NDArray[np.int32]
+    density: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @classmethod
+    def of_map(
+        cls,
+        points: NDArray[np.float64],
+        labels: NDArray[np.uint8],
+        cluster: NDArray[np.int32],
+        density: NDArray[np.float64],
+    ) -> Self:
+        """Take the sample of a map in memory."""
+        rows = sampled_rows(len(points))
+        rows = rows[labels[rows] != Label.INVALID]
+        return cls(len(points), rows, points[rows], labels[rows], cluster[rows], density[rows])
+
+    @classmethod
+    def of_parts(cls, total: int, parts: Sequence["MapSample"]) -> Self:
+        """Put the samples of all parts of a map together."""
+        parts = [cls.empty(total), *parts]
+        rows = np.concatenate([part.rows for part in parts])
+        labels = np.concatenate([part.labels for part in parts])
+        order = np.argsort(rows)
+        order = order[labels[order] != Label.INVALID]
+        return cls(
+            total,
+            rows[order],
+            np.concatenate([part.xyz for part in parts])[order],
+            labels[order],
+            np.concatenate([part.cluster for part in parts])[order],
+            np.concatenate([part.density for part in parts])[order],
+        )
+
+    @classmethod
+    def empty(cls, total: int) -> Self:
+        """Return the sample of no points."""
+        return cls(
+            total,
+            np.empty(0, np.int64),
+            np.empty((0, 3)),
+            np.empty(0, np.uint8),
+            np.empty(0, np.int32),
+            np.empty(0),
+        )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the sample as arrays, for a file that hands it from a task to the run."""
+        return {f"shown_{name}": getattr(self, name) for name in _COLUMNS}
+
+
+_COLUMNS = ("rows", "xyz", "labels", "cluster", "density")
+
+ARRAY_NAMES = tuple(f"shown_{name}" for name in _COLUMNS)
+"""Of what `MapSample.to_arrays` returns, in the order of the attributes."""
+
+
+def sampled_rows(total: int) -> NDArray[np.int64]:
+    """Return the row numbers of the sample of a map of `total` points, ascending.
+
+    The rows are divided into `MOST_POINTS` runs of nearly equal length, and one row of each is
+    taken at random: evenly spread over the recording, yet blind to any period in it.
+    """
+    if total <= MOST_POINTS:
+        return np.arange(total)
+    return _one_of_each(total)
+
+
+def is_sampled(rows: NDArray[np.int64], total: int) -> NDArray[np.bool_]:
+    """Tell which row numbers of a map are in its sample."""
+    if total <= MOST_POINTS:
+        return np.ones(len(rows), np.bool_)
+    return np.asarray(_one_of_each(total)[rows * MOST_POINTS // total] == rows)
+
+
+@lru_cache(maxsize=1)
+def _one_of_each(total: int) -> NDArray[np.int64]:
+    begins = -(-np.arange(MOST_POINTS + 1) * total // MOST_POINTS)
+    # The raw stream of a bit generator is the same in all versions of NumPy.
+    drawn = np.random.PCG64(0).random_raw(MOST_POINTS) % np.diff(begins).astype(np.uint64)
+    return np.asarray(begins[:-1] + drawn.astype(np.int64))

@@ -1,0 +1,93 @@
+"""A browser without a window, driven by Playwright, and a map to show in it."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.configuration import load_configuration
+from pipeline.progress import LogDisplay, StageObserver
+from pipeline.run import run
+
+NASTY_NAME = "a<script>alert(1)<b>&\"'.npy"
+SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+def street() -> np.ndarray:
+    """A floor, two walls, a pillar, and the trail of someone who walked between them."""
+    rng = np.random.default_rng(7)
+    floor = np.column_stack([rng.uniform(0, 20, 9_000), rng.uniform(0, 6, 9_000), np.zeros(9_000)])
+    walls = [
+        np.column_stack([rng.uniform(0, 20, 9_000), np.full(9_000, y), rng.uniform(0, 3, 9_000)])
+        for y in (0.0, 6.0)
+    ]
+    around = rng.uniform(0, 2 * np.pi, 4_000)
+    pillar = np.column_stack([5 + 0.3 * np.cos(around), 3 + 0.3 * np.sin(around),
+                              rng.uniform(0, 3, 4_000)])  # fmt: skip
+    trail = np.column_stack([rng.uniform(2, 18, 1_500), rng.normal(4, 0.2, 1_500),
+                             rng.uniform(0.2, 1.8, 1_500)])  # fmt: skip
+    noise = rng.normal(0, 0.005, (32_500, 3))
+    return np.concatenate([floor, *walls, pillar, trail]) + noise
+
+
+@pytest.fixture(scope="module")
+def cleaned(tmp_path_factory):
+    """The output folders of the same map, of a nasty name, cleaned as one tile and as several."""
+    folder = tmp_path_factory.mktemp("page")
+    np.save(folder / "map.npy", street())
+    (folder / "map.npy").rename(folder / NASTY_NAME)
+    outputs = {}
+    for name, tile in (("whole", 1_000_000), ("tiled", 5_000)):
+        settings = ["clustering.count=3", f"tiling.max_points={tile}", "execution.cluster=none"]
+        observer = StageObserver(LogDisplay())
+        observer.warn("a warning with <b>bold</b> words")
+        configuration = load_configuration(None, [*settings, "neighbours.k=30"])
+        outputs[name] = Path(
+            run([folder / NASTY_NAME], folder / name, configuration, observer).output
+        )
+    return outputs
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The system's Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
+    with playwright.sync_playwright() as driver:
+        # Tests in containers run as root, where Chromium's own sandbox does not start.
+        arguments = ["--no-sandbox", *SOFTWARE_WEBGL]
+        with_webgl = driver.chromium.launch(executable_path=path, args=arguments)
+        without = driver.chromium.launch(
+            executable_path=path, args=["--no-sandbox", "--disable-3d-apis"]
+        )
+        yield {"webgl": with_webgl, "no webgl": without}
+        with_webgl.close()
+        without.close()
+
+
+@pytest.fixture
+def opened(chromium, cleaned):
+    """Open a report from disk; what it says, throws and asks for is kept."""
+    pages = []
+
+    def open_page(name="whole", browser="webgl", width=1280):
+        page = chromium[browser].new_page(viewport={"width": width, "height": 900}, offline=True)
+        page.set_default_timeout(120_000)
+        page.heard = []
+        page.on("console", lambda message: page.heard.append(message.text))
+        page.on("pageerror", lambda error: page.heard.append(str(error)))
+        page.on("dialog", lambda dialog: (page.heard.append(dialog.message), dialog.dismiss()))
+        page.asked = []
+        page.on("request", lambda request: page.asked.append(request.url))
+        page.goto((cleaned[name] / "report.html").as_uri())
+        page.wait_for_selector("html[data-ready=yes]")
+        pages.append(page)
+        return page
+
+    yield open_page
+    for page in pages:
+        page.close()

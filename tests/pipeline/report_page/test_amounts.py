@@ -1,0 +1,123 @@
+import base64
+
+import numpy as np
+import pytest
+
+import dynahull
+from dynahull.labels import Label
+from dynahull.parameters import MethodParameters
+from pipeline.report import ClusterReport
+from pipeline.report_page import sample as sample_module
+from pipeline.report_page.amounts import NEVER, removal_amounts
+from pipeline.report_page.encoding import AMOUNT_CODES, NEVER_CODE, encode
+from pipeline.report_page.sample import MapSample
+
+
+def cleaned(points, removal):
+    parameters = {"removal": removal, "ground": {"method": "none"}, "neighbours": {"k": 20}}
+    result = dynahull.clean(points, MethodParameters.of(parameters))
+    sample = MapSample.of_map(points, result.labels, result.cluster, result.density)
+    clusters = [ClusterReport.of(cluster) for cluster in result.clusters]
+    section = MethodParameters.of(parameters).removal.model_dump()
+    return result, sample, clusters, section
+
+
+@pytest.fixture(scope="module")
+def room():
+    rng = np.random.default_rng(3)
+    return np.concatenate(
+        [rng.normal(place, 1 + place, (400 + 900 * place, 3)) for place in range(4)]
+    )
+
+
+@pytest.fixture
+def small_samples(monkeypatch):
+    monkeypatch.setattr(sample_module, "MOST_POINTS", 2_000)
+    sample_module._one_of_each.cache_clear()
+    yield
+    sample_module._one_of_each.cache_clear()
+
+
+@pytest.mark.parametrize("threshold", ["rank", "stepped"])
+def test_at_the_runs_own_setting_just_what_the_run_removed_goes(room, threshold):
+    removal = {"min_percent": 4, "max_percent": 17, "threshold": threshold}
+    result, sample, clusters, section = cleaned(room, removal)
+    amounts = removal_amounts(sample, clusters, section)
+    gone = amounts.removed_from <= amounts.own
+    assert (gone == (sample.labels == Label.DYNAMIC)).all()
+    assert amounts.removed_points[170] == pytest.approx(result.counts()["dynamic"], abs=5)
+
+
+@pytest.mark.parametrize("other", [3.0, 12.0, 40.0, 100.0])
+def test_other_settings_take_what_a_run_with_them_takes(room, other):
+    _, sample, clusters, section = cleaned(room, {"min_percent": 5, "max_percent": 20})
+    amounts = removal_amounts(sample, clusters, section)
+    again, *_ = cleaned(room, {"min_percent": other / 4, "max_percent": other})
+    gone = amounts.removed_from <= other
+    dynamic = again.labels == Label.DYNAMIC
+    assert amounts.removed_points[round(10 * other)] == pytest.approx(dynamic.sum(), abs=5)
+    # All points are in the sample: only one a cluster may be rounded the other way.
+    assert (gone != dynamic).sum() <= len(clusters)
+
+
+def test_a_sample_is_right_within_the_margin_it_states(room, small_samples):
+    result, sample, clusters, section = cleaned(room, {"min_percent": 5, "max_percent": 20})
+    assert len(sample) == 2_000
+    amounts = removal_amounts(sample, clusters, section)
+    assert 0 < amounts.margin < 5
+    shown = np.count_nonzero(amounts.removed_from <= amounts.own) / len(sample)
+    assert shown == pytest.approx(result.counts()["dynamic"] / len(room), abs=0.03)
+    again, *_ = cleaned(room, {"min_percent": 10, "max_percent": 40})
+    for cluster in clusters:
+        members = sample.cluster == cluster.index
+        estimated = (amounts.removed_from[members] <= 40).mean()
+        true = (again.labels[again.cluster == cluster.index] == Label.DYNAMIC).mean()
+        assert estimated == pytest.approx(true, abs=2 * amounts.margin / 100)
+        below = again.density[again.cluster == cluster.index] <= amounts.cuts[cluster.index][40]
+        assert below.mean() == pytest.approx(true, abs=2 * amounts.margin / 100)
+
+
+def test_points_that_have_no_volume_never_go(room):
+    flat = np.concatenate([room, np.column_stack([np.arange(900) % 30, np.arange(900) // 30] * 2)
+                           [:, [0, 1, 1]] * [1.0, 1.0, 0.0] + [500.0, 0.0, 0.0]])  # fmt: skip
+    _, sample, clusters, section = cleaned(flat, {"min_percent": 5, "max_percent": 20})
+    amounts = removal_amounts(sample, clusters, section)
+    infinite = np.isposinf(sample.density)
+    assert infinite.sum() >= 900
+    assert (amounts.removed_from[infinite] == NEVER).all()
+    assert amounts.removed_points[-1] <= len(flat) - infinite.sum()
+    again, *_ = cleaned(flat, {"min_percent": 25, "max_percent": 100})
+    assert amounts.removed_points[-1] == pytest.approx(again.counts()["dynamic"], abs=5)
+
+
+def test_without_removal_there_is_no_ratio_to_keep(room):
+    _, sample, clusters, section = cleaned(room, {"min_percent": 0, "max_percent": 0})
+    amounts = removal_amounts(sample, clusters, section)
+    assert amounts.removed_points[0] == 0
+    assert amounts.removed_points[500] == pytest.approx(len(room) / 2, abs=5)
+    assert (amounts.removed_from > 0).all()
+
+
+def test_rounding_never_moves_a_point_across_the_runs_own_setting(room):
+    _, sample, clusters, section = cleaned(room, {"min_percent": 5, "max_percent": 17.123})
+    amounts = removal_amounts(sample, clusters, section)
+    encoded = encode(sample, amounts)
+    codes = np.frombuffer(base64.b64decode(encoded.arrays["amounts"]), "<u2")
+    assert len(codes) == len(room)
+    own = encoded.facts["own_code"]
+    assert ((codes <= own) == (sample.labels == Label.DYNAMIC)).all()
+    known = codes != NEVER_CODE
+    off = codes[known] / AMOUNT_CODES - amounts.removed_from[known]
+    # Half a code for the amount, half for the run's own, and one to lie on the right side of it.
+    assert np.abs(off).max() <= 2 / AMOUNT_CODES
+    places = np.frombuffer(base64.b64decode(encoded.arrays["places"]), "<u2").reshape(-1, 3)
+    low, span = np.array(encoded.facts["low"]), np.array(encoded.facts["span"])
+    assert np.abs(low + places / 65_535 * span - sample.xyz).max() <= span.max() / 65_535
+
+
+def test_a_point_far_away_does_not_shrink_the_map(room):
+    far = np.concatenate([room, [[1e6, 0.0, 0.0]]])
+    _, sample, clusters, section = cleaned(far, {"min_percent": 5, "max_percent": 20})
+    facts = encode(sample, removal_amounts(sample, clusters, section)).facts
+    assert facts["outside"] == 1
+    assert max(facts["span"]) < 100

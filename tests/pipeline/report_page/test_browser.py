@@ -1,0 +1,168 @@
+"""The page in a browser: it opens from disk, draws, and answers."""
+
+import json
+
+import pytest
+
+INK = """(name) => {
+  const canvas = document.getElementById(name);
+  const copy = document.createElement("canvas");
+  copy.width = canvas.width; copy.height = canvas.height;
+  const context = copy.getContext("2d");
+  context.drawImage(canvas, 0, 0);
+  const data = context.getImageData(0, 0, copy.width, copy.height).data;
+  let drawn = 0, orange = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i + 3] && data[i] + data[i + 1] + data[i + 2] < 740) drawn++;
+    if (data[i] > 180 && data[i + 1] > 50 && data[i + 1] < 140 && data[i + 2] < 60) orange++;
+  }
+  return [drawn, orange];
+}"""
+VIEWS = ("top-before", "top-after", "section-before", "section-after")
+
+
+def settle(page):
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => setTimeout(done, 150)))")
+
+
+def ink(page, canvas):
+    """Count the pixels drawn, and those of them in the colour of what is removed."""
+    settle(page)
+    return page.evaluate(INK, canvas)
+
+
+def removed_count(page):
+    return int(page.inner_text("#removed-count").replace(",", ""))
+
+
+@pytest.fixture
+def dynamic(cleaned):
+    report = json.loads((cleaned["whole"] / "run.json").read_text(encoding="utf-8"))
+    return report["counts"]["dynamic"]
+
+
+@pytest.mark.parametrize("name", ["whole", "tiled"])
+def test_it_opens_from_disk_draws_and_asks_for_nothing(opened, cleaned, name):
+    page = opened(name)
+    for canvas in ("scene-canvas", *VIEWS):
+        drawn, _ = ink(page, canvas)
+        assert drawn > 1_000, canvas
+    assert ink(page, "top-before")[1] > 100
+    assert ink(page, "top-after")[1] == 0
+    assert page.asked == [(cleaned[name] / "report.html").as_uri()]
+    assert page.heard == []
+    assert not page.is_visible("#no-webgl")
+
+
+def test_the_name_of_the_map_is_its_title(opened):
+    page = opened()
+    assert page.title() == "a<script>alert(1)<b>&\"'.npy"
+    assert page.inner_text("h1") == page.title()
+
+
+def test_the_slider_changes_the_count_and_the_views(opened, dynamic):
+    page = opened()
+    assert removed_count(page) == dynamic
+    assert "removed in this run" in page.inner_text(".answer")
+    before = ink(page, "scene-canvas")[1], ink(page, "top-before")[1]
+    cut = page.get_attribute("path.cut >> nth=1", "d")
+    page.fill("#amount", "60")
+    assert removed_count(page) > 2 * dynamic
+    assert "would be removed" in page.inner_text(".answer")
+    assert "--set removal.min_percent=15 --set removal.max_percent=60" in page.inner_text(
+        "#settings"
+    )
+    assert ink(page, "scene-canvas")[1] > 1.3 * before[0]
+    assert ink(page, "top-before")[1] > 1.3 * before[1]
+    assert page.get_attribute("path.cut >> nth=1", "d") != cut
+    page.fill("#amount", "0")
+    assert removed_count(page) == 0
+    assert ink(page, "scene-canvas")[1] == ink(page, "top-before")[1] == 0
+    page.click("#reset")
+    assert removed_count(page) == dynamic
+    assert ink(page, "top-before")[1] == before[1]
+    assert page.heard == []
+
+
+def test_what_is_switched_off_is_not_drawn(opened):
+    page = opened()
+    everything = ink(page, "scene-canvas")
+    assert everything[1] > 0
+    page.uncheck("#show-removed")
+    assert ink(page, "scene-canvas")[1] == 0
+    assert ink(page, "top-before")[1] == 0
+    without_removed = ink(page, "scene-canvas")[0]
+    page.uncheck("#show-ground")
+    assert 0 < ink(page, "scene-canvas")[0] < without_removed
+    page.uncheck("#show-static")
+    assert ink(page, "scene-canvas")[0] == 0
+    page.check("#show-removed")
+    assert ink(page, "scene-canvas")[1] > 0
+
+
+def test_all_of_it_can_be_done_with_the_keyboard(opened, dynamic):
+    page = opened()
+    page.focus("#amount")
+    for _ in range(5):
+        page.keyboard.press("PageUp")
+    assert removed_count(page) > dynamic
+    page.focus("#show-static")
+    page.keyboard.press("Space")
+    assert not page.is_checked("#show-static")
+    page.keyboard.press("Space")
+    picture = "() => document.getElementById('scene-canvas').toDataURL()"
+    page.focus("#scene-canvas")
+    settle(page)
+    before = page.evaluate(picture)
+    page.keyboard.press("ArrowLeft")
+    settle(page)
+    turned = page.evaluate(picture)
+    page.keyboard.press("+")
+    settle(page)
+    assert len({before, turned, page.evaluate(picture)}) == 3
+
+
+def test_the_colours_and_the_ways_to_look_change_the_view(opened):
+    page = opened()
+    picture = "() => document.getElementById('scene-canvas').toDataURL()"
+    seen = set()
+    for colour in ("0", "1", "2", "3"):
+        page.select_option("#colour", colour)
+        settle(page)
+        seen.add(page.evaluate(picture))
+    for button in ("#from-above", "#from-side"):
+        page.click(button)
+        settle(page)
+        seen.add(page.evaluate(picture))
+    assert len(seen) == 6
+
+
+def test_the_section_goes_where_it_is_put(opened):
+    page = opened()
+    page.select_option("#direction", "0")
+    page.select_option("#thickness", "0.5")
+    page.fill("#place", "500")
+    amid = ink(page, "section-before")[0]
+    page.fill("#place", "0")
+    wall = ink(page, "section-before")[0]
+    assert wall > 2 * amid > 0
+    assert "y = " in page.inner_text("#place-value")
+
+
+def test_without_webgl_it_says_so_and_the_rest_works(opened, dynamic):
+    page = opened(browser="no webgl")
+    assert page.is_visible("#no-webgl")
+    assert "WebGL" in page.inner_text("#no-webgl")
+    assert page.is_disabled("#colour")
+    for canvas in VIEWS:
+        assert ink(page, canvas)[0] > 1_000
+    page.fill("#amount", "50")
+    assert removed_count(page) > dynamic
+    assert page.heard == []
+
+
+@pytest.mark.parametrize("width", [360, 820, 1280])
+def test_nothing_sticks_out_at_the_side(opened, width):
+    page = opened("tiled", width=width)
+    settle(page)
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= width

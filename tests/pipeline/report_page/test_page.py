@@ -1,0 +1,143 @@
+"""The page without a browser: what it holds, and that it holds nothing of what it should not."""
+
+import json
+import re
+from html import unescape
+from html.parser import HTMLParser
+
+import pytest
+import yaml
+
+from pipeline.configuration import load_configuration
+from pipeline.progress import LogDisplay, StageObserver
+from pipeline.run import run
+
+
+def page_of(folder):
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def array(page, name):
+    return re.search(rf'<script type="text/plain" id="array-{name}">([^<]*)</script>', page)[1]
+
+
+def facts(page):
+    return json.loads(re.search(r'id="facts">([^<]*)</script>', page)[1])
+
+
+class Reader(HTMLParser):
+    """Notes the elements and the words of a page."""
+
+    def __init__(self):
+        super().__init__()
+        self.tags, self.words, self.within, self.links = [], [], None, []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.within = tag
+        self.links += [value for name, value in attributes if name in ("src", "href")]
+
+    def handle_endtag(self, tag):
+        self.within = None
+
+    def handle_data(self, data):
+        if self.within not in ("script", "style"):
+            self.words.append(data)
+
+
+def read(page):
+    reader = Reader()
+    reader.feed(page)
+    return reader
+
+
+@pytest.mark.parametrize("name", ["whole", "tiled"])
+def test_the_figures_are_those_of_run_json(cleaned, name):
+    report = json.loads((cleaned[name] / "run.json").read_text(encoding="utf-8"))
+    page = page_of(cleaned[name])
+    words = " ".join(read(page).words)
+    assert json.loads(re.search(r'id="run">([^<]*)</script>', page)[1]) == report
+    assert f"{report['counts']['dynamic']:,}" in words
+    assert facts(page)["removed"] == report["counts"]["dynamic"]
+    for cluster in report["clusters"]:
+        assert f"{cluster['count']:,}" in words
+        assert f"{cluster['threshold']:.4g}" in words
+    for stage in report["seconds"]:
+        assert stage in words
+    written = re.search(r"<pre>(.*?)</pre>", page, re.DOTALL)[1]
+    assert yaml.safe_load(unescape(written)) == report["configuration"]
+    assert "report.html" in report["outputs"]
+
+
+def test_names_and_warnings_are_text_and_never_markup(cleaned):
+    reader = read(page_of(cleaned["whole"]))
+    assert "a<script>alert(1)<b>&\"'.npy" in "".join(reader.words)
+    assert "a warning with <b>bold</b> words" in "".join(reader.words)
+    assert "b" not in reader.tags
+    assert reader.links == ["data:,"]
+
+
+def test_the_page_does_not_depend_on_how_the_map_is_cut(cleaned):
+    whole, tiled = page_of(cleaned["whole"]), page_of(cleaned["tiled"])
+    for name in ("places", "amounts", "labels", "clusters", "densities"):
+        assert array(whole, name) == array(tiled, name)
+    assert facts(whole) == facts(tiled)
+
+
+def test_tiles_are_drawn_with_their_points_time_and_state(cleaned):
+    page = page_of(cleaned["tiled"])
+    tiles = re.findall(r"<title>tile (\d+): ([\d,]+) points, ([\d.]+) s, ([^<]*)</title>", page)
+    assert len(tiles) > 4
+    assert sum(int(points.replace(",", "")) for _, points, _, _ in tiles) == 32_500
+    assert {state for *_, state in tiles} == {"done in this run"}
+    assert "One tile of 32,500 points" in page_of(cleaned["whole"])
+
+
+def test_tiles_kept_from_an_interrupted_run_are_told_apart(cleaned, tmp_path, monkeypatch):
+    from pipeline.tiles import stages  # noqa: PLC0415
+
+    (tmp_path / "map.npy").write_bytes(next(cleaned["whole"].parent.glob("*.npy")).read_bytes())
+    settings = ["clustering.count=3", "tiling.max_points=5000", "execution.cluster=none"]
+    configuration = load_configuration(None, [*settings, "neighbours.k=30"])
+    work = stages.TASKS["density"]
+
+    def fails_once(job, tile, *sides):
+        if tile == 1:
+            raise ValueError("no luck")
+        return work(job, tile, *sides)
+
+    with monkeypatch.context() as patch:
+        patch.setitem(stages.TASKS, "density", fails_once)
+        with pytest.raises(Exception, match="no luck"):
+            run([tmp_path / "map.npy"], tmp_path / "out", configuration, observer())
+    run([tmp_path / "map.npy"], tmp_path / "out", configuration, observer())
+    states = re.findall(r"<title>tile (\d+): [^<]* s, ([^<]*)</title>", page_of(tmp_path / "out"))
+    assert dict(states).pop("1") == "done in this run"
+    others = {state for number, state in states if number != "1"}
+    assert others == {"kept from an interrupted run"}
+
+
+def observer():
+    return StageObserver(LogDisplay())
+
+
+def test_without_a_report_there_is_none(cleaned, tmp_path):
+    source = next(cleaned["whole"].parent.glob("*.npy"))
+    for tile in (1_000_000, 5_000):
+        settings = ["output.report=none", f"tiling.max_points={tile}", "execution.cluster=none"]
+        folder = tmp_path / str(tile)
+        report = run([source], folder, load_configuration(None, settings), observer())
+        assert not (folder / "report.html").exists()
+        assert "report.html" not in report.outputs
+        assert "report.html" not in report.summary()
+
+
+@pytest.mark.parametrize("points", [0, 1, 3, 40])
+def test_maps_of_next_to_nothing_have_a_page(tmp_path, points):
+    import numpy as np  # noqa: PLC0415
+
+    np.save(tmp_path / "map.npy", np.random.default_rng(0).normal(size=(points, 3)))
+    run([tmp_path / "map.npy"], tmp_path / "out", load_configuration(None), observer())
+    page = page_of(tmp_path / "out")
+    assert facts(page)["total"] == points
+    assert len(facts(page)["removed_points"]) == 1_001

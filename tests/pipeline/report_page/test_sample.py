@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynahull.labels import Label
+from pipeline.report_page import sample as sample_module
+from pipeline.report_page.sample import ARRAY_NAMES, MapSample, is_sampled, sampled_rows
+
+
+def whole_map(count: int) -> MapSample:
+    rng = np.random.default_rng(0)
+    return MapSample.of_map(
+        rng.normal(size=(count, 3)),
+        rng.integers(0, 5, count).astype(np.uint8),
+        rng.integers(-1, 5, count).astype(np.int32),
+        rng.uniform(size=count),
+    )
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 5_000_000))
+def test_the_sample_is_of_distinct_rows_of_the_map_and_never_too_large(total):
+    rows = sampled_rows(total)
+    assert len(rows) == min(total, sample_module.MOST_POINTS)
+    assert (np.diff(rows) > 0).all()
+    assert not len(rows) or (rows[0] >= 0 and rows[-1] < total)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 10**12), st.integers(0, 2**32))
+def test_parts_of_a_map_know_which_of_their_rows_are_sampled(total, seed):
+    rows = np.random.default_rng(seed).integers(0, total, 1_000)
+    sampled = sampled_rows(total) if total <= 10**7 else None
+    found = is_sampled(rows, total)
+    if sampled is not None:
+        assert (found == np.isin(rows, sampled)).all()
+    assert is_sampled(sampled_rows(total)[:1_000] if total > 10**7 else sampled, total).all()
+
+
+def test_a_period_in_the_recording_is_not_mistaken_for_the_map():
+    # 64 beams, one after the other: every beam has its share of a sample of one in ten.
+    beams = np.bincount(sampled_rows(3_000_000) % 64, minlength=64)
+    assert beams.min() > 0.9 * beams.mean() and beams.max() < 1.1 * beams.mean()
+
+
+def test_the_sample_of_all_parts_is_the_sample_of_the_map(monkeypatch):
+    monkeypatch.setattr(sample_module, "MOST_POINTS", 500)
+    sample_module._one_of_each.cache_clear()
+    whole = whole_map(10_000)
+    parts = np.random.default_rng(1).integers(0, 4, len(whole))
+    cut = [
+        MapSample(10_000, *(array[parts == part] for array in whole.to_arrays().values()))
+        for part in (2, 0, 3, 1)
+    ]
+    together = MapSample.of_parts(10_000, cut)
+    sample_module._one_of_each.cache_clear()
+    assert len(together) == 500
+    for name, array in whole.to_arrays().items():
+        np.testing.assert_array_equal(together.to_arrays()[name], array)
+    assert tuple(whole.to_arrays()) == ARRAY_NAMES
+
+
+def test_invalid_points_are_not_shown():
+    points = np.zeros((3, 3))
+    points[1] = np.nan
+    labels = np.array([Label.STATIC, Label.INVALID, Label.DYNAMIC], np.uint8)
+    sample = MapSample.of_map(points, labels, np.zeros(3, np.int32), np.ones(3))
+    assert sample.rows.tolist() == [0, 2]
+    assert sample.total == 3
+    parts = MapSample.of_parts(3, [MapSample(3, np.arange(3), points, labels, labels, np.ones(3))])
+    assert parts.rows.tolist() == [0, 2]
+
+
+@pytest.mark.parametrize("total", [0, 1])
+def test_maps_of_next_to_nothing(total):
+    assert len(MapSample.of_parts(total, [])) == 0
+    assert is_sampled(np.arange(total), total).all()
