@@ -25,8 +25,9 @@ from dynahull.errors import MissingClassificationError
 from dynahull.loading import load_libraries
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration, OutputParameters
-from pipeline.errors import InputChangedError, LostPointsError, OutputError
+from pipeline.errors import LostPointsError, OutputError
 from pipeline.machine import available_cores
+from pipeline.map_state import MapState, unchanged
 from pipeline.output_modes import check_mode, mode_of
 from pipeline.outputs import (
     CONFIGURATION_FILE,
@@ -132,11 +133,10 @@ def run(
     names = OutputNames.of(collection.readers, configuration.output.mode)
     wants_page = configuration.output.report == "html"
     results = names.all_files(configuration.output.labels, wants_page)
-    with output_folder(folder, results, paths) as staging:
+    with output_folder(folder, results, paths) as staging, unchanged(paths) as state:
         one_tile = is_one_tile(collection, configuration)
         if not one_tile:
             prepare_workers(configuration)
-        before = _states(paths)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
         observer.advance(collection.point_count)
@@ -154,15 +154,11 @@ def run(
                 observer,
             )
         else:
-            job = open_job(work, paths, digest, configuration, fresh, observer)
+            job = open_job(work, paths, state, digest, configuration, fresh, observer)
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
         if configuration.output.labels:
             write_labels(cleaned, staging / LABELS_FILE)
         observer.finish()
-        if _states(paths) != before:
-            # What was read before and after the change must not meet in a run that goes on.
-            remove_work(work)
-            raise InputChangedError(f"{paths[0]}: the map changed while it was being cleaned")
         report = RunReport.of(
             folder,
             collection,
@@ -265,6 +261,7 @@ def workers_for(configuration: Configuration) -> Iterator[Executor]:
 def open_job(
     work: Path,
     paths: Sequence[Path],
+    state: MapState,
     digest: str,
     configuration: Configuration,
     fresh: bool,
@@ -278,6 +275,8 @@ def open_job(
         The work folder.
     paths : sequence of Path
         The map's files.
+    state : MapState
+        Theirs, from before the bytes were hashed.
     digest : str
         Of their bytes.
     configuration : Configuration
@@ -287,7 +286,7 @@ def open_job(
         Told when work of another map or configuration is given up.
     """
     work = work.resolve()  # workers may have another current folder
-    job = Job(work, job_key(digest, configuration), tuple(paths), configuration)
+    job = Job(work, job_key(digest, configuration), tuple(paths), state, configuration)
     if work.exists():
         try:
             stored = json.loads((work / JOB_FILE).read_text(encoding="utf-8"))["key"]
@@ -422,7 +421,3 @@ def _notes(collection: MapCollection) -> list[str]:
         note for reader in collection.readers for note in reader.description.notes
     )
     return list(notes)
-
-
-def _states(paths: Sequence[Path]) -> list[tuple[int, int]]:
-    return [(path.stat().st_size, path.stat().st_mtime_ns) for path in paths]

@@ -12,6 +12,7 @@ import numpy as np
 
 from dynahull.clustering import Clusters
 from pipeline.configuration import Configuration
+from pipeline.map_state import MapState
 from pipeline.plan import decision_radius
 from pipeline.tiles.work import WorkFolder
 from tiling.chunk_store import ChunkStore
@@ -37,12 +38,15 @@ class Job:
         Hash of the input and of the configuration.
     paths : tuple of Path
         The map's files.
+    state : MapState
+        Theirs, when the key was made.
     configuration : Configuration
     """
 
     root: Path
     key: str
     paths: tuple[Path, ...]
+    state: MapState
     configuration: Configuration
 
     def save(self) -> None:
@@ -50,6 +54,7 @@ class Job:
         values = {
             "key": self.key,
             "paths": [str(path.resolve()) for path in self.paths],
+            "state": self.state,
             "configuration": self.configuration.model_dump(mode="json"),
         }
         self.work.write_json(self.root / JOB_FILE, values)
@@ -113,5 +118,6 @@ def _opened(root: Path, changed: int) -> Job:
         root,
         stored["key"],
         tuple(Path(path) for path in stored["paths"]),
+        tuple((size, time, inode) for size, time, inode in stored["state"]),
         Configuration.model_validate(stored["configuration"]),
     )

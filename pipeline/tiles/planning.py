@@ -6,6 +6,7 @@ from pathlib import Path
 from pipeline.configuration import Configuration
 from pipeline.errors import OutputError
 from pipeline.machine import available_cores
+from pipeline.map_state import unchanged
 from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, is_one_tile, make_plan
 from pipeline.progress import StageObserver
@@ -67,13 +68,14 @@ def tile_map(
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
     try:
-        with locked_folder(output):
+        with locked_folder(output), unchanged(paths) as state:
             _take_back(output, work / CHUNKS_FOLDER)
             if {path.name for path in output.iterdir()} - {WORK_FOLDER, REMOVED_FOLDER}:
                 raise OutputError(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
-            job = open_job(work, paths, content_hash(paths), configuration, False, observer)
+            digest = content_hash(paths)
+            job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(configuration) as executor:
                 plan_tiles(
                     job, executor, observer, lambda plan: check_plan(plan, configuration, output)

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from pipeline.errors import TasksFailedError
+from pipeline.map_state import check_map
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import assemble_tile, cut_rows, survey_rows
 from pipeline.tiles.division import SIDES
@@ -30,6 +31,10 @@ TASKS: Mapping[str, Callable[..., TaskReport]] = {
 }
 """The stages whose work is shared out, in their order."""
 
+READING = ("survey", "cut", "write")
+"""Stages that read the map. What they read of one that was changed is not kept: it must not meet
+what others read before, even if the map is put back before the run goes on."""
+
 DIVISIBLE = ("ground", "density")
 """Stages whose tasks can be done in parts, where the memory does not suffice for a whole tile."""
 
@@ -47,7 +52,11 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     """
     job = Job.open(folder)
     begun = time.perf_counter()
+    if stage in READING:
+        check_map(job.paths, job.state)
     report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
+    if stage in READING:
+        check_map(job.paths, job.state)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
     job.work.finish(stage, number, report)
     return report

@@ -17,6 +17,7 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
 from pipeline.tiles.status import status_text
+from tiling.errors import MapFormatError
 
 COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
 SETTINGS = [
@@ -241,6 +242,67 @@ def test_what_was_read_of_a_map_that_changed_meanwhile_is_not_kept(
     map_file.write_bytes(content)
     cleaned(map_file, tmp_path / "out")
     assert results(tmp_path / "out") == expected
+
+
+@pytest.mark.parametrize("stage", ["survey", "cut", "write"])
+@pytest.mark.parametrize("when", ["before", "within"])
+def test_a_map_that_is_changed_and_put_back_around_a_kill_is_not_mixed(
+    stage, when, map_file, tmp_path, monkeypatch, expected
+):
+    whole = map_file.read_bytes()
+    task = stages.TASKS[stage]
+
+    class Killed(BaseException):
+        """Ends the process at once, as far as the run can tell."""
+
+    def meddling(job, number):
+        # Each half of the map is read in a different state, and then there is an end.
+        if number == 1:
+            raise Killed
+        if when == "within":
+            report = task(job, number)
+        np.save(map_file, np.load(map_file) * [1, 1, 0.5])
+        return task(job, number) if when == "before" else report
+
+    monkeypatch.setattr("pipeline.tiles.job.ROWS_AT_A_TIME", 400)
+    monkeypatch.setattr("pipeline.tiles.writing.BATCH", 200)
+    with monkeypatch.context() as patch:
+        patch.setitem(stages.TASKS, stage, meddling)
+        with pytest.raises((Killed, InputChangedError)):
+            cleaned(map_file, tmp_path / "out")
+    map_file.write_bytes(whole)
+    assert not (tmp_path / "out" / WORK / stage / "000000.done").exists()
+    report = cleaned(map_file, tmp_path / "out")
+    assert report.warnings == []
+    assert results(tmp_path / "out") == expected
+
+
+@pytest.mark.parametrize("stage", ["hash", "survey", "ground", "write", "one tile"])
+def test_a_map_that_vanishes_is_bad_input(stage, map_file, tmp_path, monkeypatch):
+    def vanishing(task):
+        def vanished(*arguments):
+            map_file.unlink(missing_ok=True)
+            return task(*arguments)
+
+        return vanished
+
+    wanted = []
+    if stage in stages.TASKS:
+        monkeypatch.setitem(stages.TASKS, stage, vanishing(stages.TASKS[stage]))
+    else:
+        monkeypatch.setattr(run_module, "content_hash", vanishing(run_module.content_hash))
+        wanted = ["tiling.max_points=1000"] if stage == "one tile" else []
+    with pytest.raises(MapFormatError, match=r"map\.npy: expected a map .*no such file or dir"):
+        cleaned(map_file, tmp_path / "out", *wanted)
+
+
+def test_a_map_that_cannot_be_read_any_more_is_bad_input(map_file, tmp_path, monkeypatch):
+    def failing(paths):
+        raise PermissionError(13, "Permission denied", str(paths[0]))
+
+    monkeypatch.setattr(run_module, "content_hash", failing)
+    with pytest.raises(MapFormatError, match=r"map\.npy: expected .*, found permission denied"):
+        cleaned(map_file, tmp_path / "out")
 
 
 def test_fresh_starts_over_without_a_warning(map_file, interrupted, expected, done_tasks):

@@ -114,3 +114,12 @@ def test_the_hash_of_several_files_tells_their_order_and_borders(tmp_path):
     ab, c, a, bc, abc = paths
     digests = [content_hash(each) for each in ([ab, c], [c, ab], [a, bc], [abc])]
     assert len(set(digests)) == len(digests)
+
+
+def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    def denied(self):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(type(tmp_path), "iterdir", denied)
+    with pytest.raises(NoMapError, match=r"expected a map, .*cannot be read \(Permission denied"):
+        find_map_files([tmp_path])

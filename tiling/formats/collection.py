@@ -35,13 +35,18 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     Raises
     ------
     NoMapError
-        When an argument names no map, or there are no arguments.
+        When an argument names no map, or one that cannot be read, or there are no arguments.
     """
     if not arguments:
         raise NoMapError("no argument", "none")
     found: dict[Path, Path] = {}
     for argument in arguments:
-        for path in _files_of(argument):
+        try:
+            files = _files_of(argument)
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise NoMapError(str(argument), f"one that cannot be read ({reason})") from error
+        for path in files:
             found.setdefault(path.resolve(), path)
     return tuple(found.values())
 
