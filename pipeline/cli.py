@@ -22,6 +22,7 @@ EXIT_FAILURE = 1
 EXIT_USAGE = 2
 EXIT_BAD_INPUT = 3
 EXIT_INTERRUPTED = 130
+EXIT_NOT_READ = 141
 
 logger = logging.getLogger("dynahull")
 
@@ -215,9 +216,14 @@ def main() -> NoReturn:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.default_int_handler)
+    output = sys.stdout
     try:
         app()
     except SystemExit as ended:
+        if ended.code == EXIT_FAILURE and sys.stdout is not output:
+            # Typer's own end where the reader of the output has gone. Other tools die of that
+            # signal: so do pipes see it here, and it is not taken for a failure of the command.
+            sys.exit(EXIT_NOT_READ)
         if ended.code == EXIT_INTERRUPTED:  # Typer's own end of Ctrl-C, which says nothing
             _fail("interrupted", EXIT_INTERRUPTED)
         raise

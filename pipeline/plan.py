@@ -22,6 +22,9 @@ _BASE_BYTES = 350 << 20
 _BYTES_A_POINT = 260
 """Of the largest tile, core and halo, in the stage that takes most."""
 
+_BYTES_A_POINT_IN_MEMORY = 120
+"""Of a map of one tile, with labels, on two threads."""
+
 _BYTES_ON_DISK = 100
 """A point of a tile, core or halo, in pieces, chunks and ground-free points together."""
 
@@ -221,6 +224,28 @@ def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
         raise PlanError(
             f"{place}: the run would write {in_units(plan.disk)} of temporary files and "
             f"{in_units(plan.output_size)} of results, and {in_units(free)} are free"
+        )
+
+
+def check_one_tile(collection: MapCollection, configuration: Configuration) -> None:
+    """Refuse a map that is cleaned in memory and takes more than there is.
+
+    Raises
+    ------
+    PlanError
+        In one line: what it takes, what there is, and what to change.
+    """
+    wanted = _BASE_BYTES + _BYTES_A_POINT_IN_MEMORY * collection.point_count
+    memory = configuration.execution.memory
+    free = available_memory() if memory == "auto" else memory
+    if wanted > free:
+        whole = ground_radius(configuration.ground) is None
+        method = f"a ground.method other than {configuration.ground.method}"
+        remedy = method if whole else "a smaller tiling.max_points"
+        raise PlanError(
+            f"{collection.name}: as one tile, the {collection.point_count:,} points would take "
+            f"{in_units(wanted)}, and there are {in_units(free)}: choose {remedy}, so that the map "
+            "is cut"
         )
 
 

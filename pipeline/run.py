@@ -38,7 +38,7 @@ from pipeline.outputs import (
     default_folder,
     output_folder,
 )
-from pipeline.plan import check_plan, is_one_tile, worker_memory_limit
+from pipeline.plan import check_one_tile, check_plan, is_one_tile, worker_memory_limit
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
 from pipeline.report_page.page import render_page
@@ -127,6 +127,8 @@ def run(
         raise MissingClassificationError(
             f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
         )
+    if is_one_tile(collection, configuration):
+        check_one_tile(collection, configuration)
     for note in _notes(collection):
         observer.warn(note)
     check_mode(collection.readers, configuration.output)

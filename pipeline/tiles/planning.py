@@ -8,7 +8,7 @@ from pipeline.errors import OutputError
 from pipeline.machine import available_cores
 from pipeline.map_state import unchanged
 from pipeline.outputs import locked_folder
-from pipeline.plan import check_plan, is_one_tile, make_plan
+from pipeline.plan import check_one_tile, check_plan, is_one_tile, make_plan
 from pipeline.progress import StageObserver
 from pipeline.run import open_job, workers_for
 from pipeline.tiles.cleaning import cut_into_chunks, plan_tiles
@@ -48,6 +48,7 @@ def plan_map(
         draw_plan(plan, surveyed, picture)
     text = plan.to_text()
     if one_tile:
+        check_one_tile(collection, configuration)
         text += "\none tile: cleaned in memory, without temporary files"
     else:
         check_plan(plan, configuration, Path())

@@ -108,6 +108,14 @@ def test_mistakes_are_one_line_and_an_exit_code_and_write_nothing(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_output_that_nobody_reads_ends_the_command_as_it_does_other_tools():
+    with subprocess.Popen([*COMMAND, "keys"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as it:
+        it.stdout.close()
+        said = it.stderr.read()
+    assert it.returncode == 128 + signal.SIGPIPE
+    assert said == b""
+
+
 def test_wrong_usage_is_exit_code_two():
     assert call("run").returncode == 2
     assert call("clean-up").returncode == 2

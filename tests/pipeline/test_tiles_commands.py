@@ -138,6 +138,30 @@ class TestPlan:
         )
         assert sorted(tmp_path.iterdir()) == before
 
+    @pytest.mark.parametrize("command", ["plan", "run"])
+    @pytest.mark.parametrize(
+        ("setting", "remedy"),
+        [
+            ("tiling.max_points=1001", "a smaller tiling.max_points"),
+            ("ground.method=csf", "a ground.method other than csf"),
+        ],
+    )
+    def test_one_tile_that_does_not_fit_into_memory_is_refused_before_any_work(
+        self, setting, remedy, command, map_file, tmp_path, call
+    ):
+        before = sorted(tmp_path.iterdir())
+        output = [] if command == "plan" else ["-o", "out"]
+        wanted = [*SMALL, setting, "execution.memory=64MiB"]
+        code, _, errors = call(command, map_file, *output, wanted=wanted)
+        assert code == 1
+        assert len(errors) == 1
+        assert re.search(
+            r"map\.npy: as one tile, the 1,001 points would take 350\.\d MiB, and there are 64\.0 "
+            rf"MiB: choose {remedy}",
+            errors[0],
+        )
+        assert sorted(tmp_path.iterdir()) == before
+
     @pytest.mark.parametrize("command", ["plan", "run", "tile"])
     def test_too_small_a_disk_is_refused_before_any_work(
         self, command, map_file, tmp_path, call, monkeypatch

@@ -348,6 +348,26 @@ def descriptors():
     return len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - the names themselves vanish
 
 
+def full_disk():
+    return os.fdopen(os.open("/dev/full", os.O_RDWR), "r+b", 0)
+
+
+def test_a_full_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
+    path = example_file(tmp_path, 50, "binary_compressed")
+    records = next(PcdReader(path).batches(50)).records
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "spool"))
+    monkeypatch.setattr(
+        "tiling.formats.column_spool.TemporaryFile", lambda **_: full_disk()
+    )
+    with pytest.raises(OSError, match=r"No space left on device: '.*spool \(temporary files\)'"):
+        read_all(path)
+    with (
+        pytest.raises(OSError, match=r"No space left on device: '.*spool \(temporary files\)'"),
+        PcdReader(path).writer(tmp_path / "out.pcd", 50) as writer,
+    ):
+        writer.write(records)
+
+
 def test_temporary_files_go_whatever_happens(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "spool"))
     (tmp_path / "spool").mkdir()

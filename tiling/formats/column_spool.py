@@ -4,7 +4,9 @@ binary_compressed PCD files hold all values of the first field, then all of the 
 Through a file of that layout points can be had, and given, in batches.
 """
 
+import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from tempfile import TemporaryFile
 from typing import Self
 
@@ -31,7 +33,9 @@ class ColumnSpool:
     def __init__(self, widths: Sequence[int], point_count: int) -> None:
         self._widths = tuple(widths)
         self._point_count = point_count
-        self._file = TemporaryFile()  # noqa: SIM115 - closed by `close`
+        with _blaming_its_folder():
+            # Unbuffered, so that a full disk is met where it is written to.
+            self._file = TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `close`
 
     def __enter__(self) -> Self:
         return self
@@ -41,7 +45,7 @@ class ColumnSpool:
 
     def append(self, data: NDArray[np.uint8]) -> None:
         """Write the next bytes of the columns, in the file's order."""
-        self._file.write(data.tobytes())
+        self._write(data.tobytes())
 
     def blocks(self) -> Iterator[NDArray[np.uint8]]:
         """Yield the bytes of all columns, in the file's order."""
@@ -55,7 +59,7 @@ class ColumnSpool:
         start = column = 0
         for width in self._widths:
             self._file.seek(column + first_row * width)
-            self._file.write(rows[:, start : start + width].tobytes())
+            self._write(rows[:, start : start + width].tobytes())
             start += width
             column += width * self._point_count
 
@@ -74,3 +78,19 @@ class ColumnSpool:
     def close(self) -> None:
         """Remove the file."""
         self._file.close()
+
+    def _write(self, data: bytes) -> None:
+        left = memoryview(data)
+        with _blaming_its_folder():
+            while left:
+                left = left[self._file.write(left) :]
+
+
+@contextmanager
+def _blaming_its_folder() -> Iterator[None]:
+    """Name the folder for temporary files in an error, as the file itself has no name."""
+    try:
+        yield
+    except OSError as error:
+        folder = tempfile.gettempdir()
+        raise OSError(error.errno, error.strerror, f"{folder} (temporary files)") from error
