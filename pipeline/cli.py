@@ -130,11 +130,15 @@ def info_command(
 @app.command("view")
 def view_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Write a recording to open elsewhere instead."),
+    ] = None,
 ) -> None:
-    """Open the result of a run in a window, what was removed in red (needs the extra `open3d`)."""
+    """Open a result in a window, coloured by label and by density (needs the extra `rerun`)."""
     from pipeline.view import view_result  # noqa: PLC0415
 
-    view_result(folder)
+    view_result(folder, save)
 
 
 @app.command("simulate")

@@ -132,6 +132,11 @@ class LabelMode(OutputMode):
         return (self._extended.extend(batch, values, classes),)
 
 
+def own_names(name: str) -> tuple[str, str]:
+    """Return what a field that is added is called, and what where the map has one like it."""
+    return name, _PREFIX + name
+
+
 def added_fields(reader: MapReader) -> tuple[Field, ...]:
     """Return the fields that a labelled map has behind those of the input.
 
@@ -145,7 +150,7 @@ def added_fields(reader: MapReader) -> tuple[Field, ...]:
     for name, dtype in ((LABEL, "uint8"), (DENSITY, "float64"), (ORIGINAL_CLASS, "uint8")):
         if name == ORIGINAL_CLASS and not reader.description.has_classification:
             continue
-        free = next((each for each in (name, _PREFIX + name) if each not in taken), None)
+        free = next((each for each in own_names(name) if each not in taken), None)
         if free is None:
             raise ConfigurationError(
                 f"{reader.description.path}: output.mode label adds a field {name} or "

@@ -1,85 +1,153 @@
-"""A cleaned map on the screen, what was removed in red: `dynahull-pipeline view`.
+"""A finished run on the screen, coloured by label and by density: `dynahull-pipeline view`.
 
-Open3D draws it, an optional extra: it does this best, and nothing else here needs it.
+Rerun draws it, an optional extra: its viewer comes with its package, shows tens of millions of
+points, and lets each label be switched on and off.
 """
 
-import json
+import logging
+import os
+import subprocess
+import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.labels import Label
 from pipeline.errors import MissingViewerError, OutputError
-from pipeline.outputs import RUN_FILE
-from tiling.formats import open_map
+from pipeline.result import ResultPoints, read_result
 
-STATIC_COLOUR = (0.35, 0.4, 0.45)
-DYNAMIC_COLOUR = (0.85, 0.15, 0.1)
+LABEL_COLOURS = {
+    Label.STATIC: (125, 140, 155),
+    Label.DYNAMIC: (225, 50, 35),
+    Label.GROUND: (165, 130, 90),
+    Label.ABOVE: (90, 125, 190),
+    Label.UNSCORED: (215, 180, 60),
+}
+"""Red, green and blue; points without finite coordinates are not drawn."""
+
+UNSCORED_COLOUR = (70, 70, 70)
+
+_RAMP = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
+"""Colours of densities from the least to the greatest."""
+
+_POINT_SIZE = 1.5
+"""On the screen, whatever the distance."""
+
+logger = logging.getLogger("dynahull")
 
 
-def read_result(folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read the points of a finished run.
+def view_result(folder: Path, recording: Path | None = None) -> None:
+    """Open a window with the result of a run, and return when it is closed.
 
     Parameters
     ----------
     folder : Path
         An output folder of `run`.
-
-    Returns
-    -------
-    static, dynamic : (n, 3) and (m, 3) float64 arrays
-        Finite points, relative to the lowest corner of the map: viewers draw in single precision.
-
-    Raises
-    ------
-    OutputError
-        When the folder holds no complete result.
-    """
-    try:
-        files = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
-    static, dynamic = (
-        np.concatenate([_finite_points(folder / file[kind]) for file in files])
-        for kind in ("static", "dynamic")
-    )
-    both = np.concatenate([static, dynamic])
-    corner = both.min(axis=0) if len(both) else np.zeros(3)
-    return static - corner, dynamic - corner
-
-
-def view_result(folder: Path) -> None:
-    """Open a window with the result of a run.
+    recording : Path, optional
+        A file of Rerun's (`.rrd`) to write instead; `rerun FILE` opens it, on any machine.
 
     Raises
     ------
     MissingViewerError
-        When Open3D is not installed, or cannot be loaded.
+        When Rerun is not installed, or there is no screen to draw on.
     OutputError
-        When the folder holds no complete result.
+        When the folder holds no complete result, or the recording cannot be written.
     """
-    static, dynamic = read_result(folder)
+    rerun = _import_rerun()
+    if recording is None and not _has_screen():
+        raise MissingViewerError(
+            "view needs a screen, and found neither DISPLAY nor WAYLAND_DISPLAY; "
+            "--save FILE.rrd writes what `rerun FILE.rrd` opens on a machine that has one"
+        )
+    points = read_result(folder)
+    if points.density is None:
+        logger.info("densities are shown of runs with --labels, or with output.mode=label")
+    if recording is not None:
+        if recording.parent != Path() and not recording.parent.is_dir():
+            raise OutputError(f"{recording}: expected a folder to write into, found none")
+        write_recording(rerun, points, folder.name, recording)
+        return
+    with TemporaryDirectory(prefix="dynahull-view-") as temporary:
+        file = Path(temporary) / "result.rrd"
+        write_recording(rerun, points, folder.name, file)
+        ended = subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False)
+    if ended.returncode:
+        raise MissingViewerError(
+            f"Rerun's viewer ended with code {ended.returncode}, see above; --save FILE.rrd "
+            "writes what `rerun FILE.rrd` opens on another machine"
+        )
+
+
+def write_recording(rerun: Any, points: ResultPoints, name: str, path: Path) -> None:
+    """Write points as a recording: a view coloured by label, and beside it one by density.
+
+    Coordinates are drawn from the lowest corner of the map, since viewers draw in single
+    precision; the corner is among the recording's properties.
+    """
+    corner = points.xyz.min(axis=0) if len(points.xyz) else np.zeros(3)
+    xyz = (points.xyz - corner).astype(np.float32)
+    blueprint = rerun.blueprint
+    views = [blueprint.Spatial3DView(origin="/label", name="by label")]
+    if points.density is not None:
+        views.append(blueprint.Spatial3DView(origin="/density", name="by density"))
+    layout = blueprint.Blueprint(
+        blueprint.Horizontal(*views),
+        blueprint.BlueprintPanel(state="expanded"),
+        blueprint.SelectionPanel(state="collapsed"),
+        blueprint.TimePanel(state="hidden"),
+    )
+    with rerun.RecordingStream("dynahull", send_properties=True) as stream:
+        stream.save(path, default_blueprint=layout)
+        stream.send_recording_name(name)
+        stream.send_property("map", rerun.AnyValues(corner=corner))
+        stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        radius = rerun.Radius.ui_points(_POINT_SIZE)
+        for label, colour in LABEL_COLOURS.items():
+            own = xyz[points.labels == label]
+            if len(own):
+                cloud = rerun.Points3D(own, colors=[colour], radii=radius)
+                stream.log(f"/label/{label.title}", cloud, static=True)
+        if points.density is not None:
+            scored = ~np.isnan(points.density)
+            for part, chosen in (("scored", scored), ("not_scored", ~scored)):
+                if chosen.any():
+                    colours = density_colours(points.density[chosen])
+                    cloud = rerun.Points3D(xyz[chosen], colors=colours, radii=radius)
+                    stream.log(f"/density/{part}", cloud, static=True)
+
+
+def density_colours(density: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return a colour for each density, (n, 3): by rank, so that all of them can be told apart.
+
+    Infinite densities, of flat neighbourhoods, are the greatest; NaN is dark grey.
+    """
+    colours = np.empty((len(density), 3), np.uint8)
+    scored = ~np.isnan(density)
+    values = np.sort(density[scored])
+    rank = np.searchsorted(values, density[scored]) / max(len(values) - 1, 1)
+    for channel in range(3):
+        ramp = np.interp(rank, np.linspace(0, 1, len(_RAMP)), _RAMP[:, channel])
+        colours[scored, channel] = np.rint(ramp)
+    colours[~scored] = UNSCORED_COLOUR
+    return colours
+
+
+def _import_rerun() -> Any:
     try:
-        import open3d  # noqa: PLC0415 (optional, and seconds of import time)
+        import rerun  # noqa: PLC0415 (optional, and a second of import time)
+        import rerun.blueprint  # noqa: PLC0415
     except (ImportError, OSError) as error:
         raise MissingViewerError(
-            f"view needs Open3D: pip install 'dynahull-pipeline[open3d]' ({error})"
+            f"view needs Rerun: pip install 'dynahull-pipeline[rerun]' ({error})"
         ) from error
-    clouds = [
-        _cloud(open3d, static, STATIC_COLOUR),
-        _cloud(open3d, dynamic, DYNAMIC_COLOUR),
-    ]
-    open3d.visualization.draw_geometries(clouds, window_name=str(folder))
+    return rerun
 
 
-def _finite_points(path: Path) -> NDArray[np.float64]:
-    batches = [np.empty((0, 3)), *(batch.xyz for batch in open_map(path).batches())]
-    points = np.concatenate(batches)
-    return np.asarray(points[np.isfinite(points).all(axis=1)])
-
-
-def _cloud(open3d: Any, points: NDArray[np.float64], colour: tuple[float, float, float]) -> Any:
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    cloud.paint_uniform_color(colour)
-    return cloud
+def _has_screen() -> bool:
+    """Whether a window can be opened, as far as the environment tells."""
+    if not sys.platform.startswith("linux"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
