@@ -9,6 +9,13 @@ from typing import Annotated, NoReturn, TextIO
 
 import typer
 
+from pipeline.cluster.commands import (
+    TLS,
+    ClusterName,
+    cancel_command,
+    cluster_settings,
+    submit_command,
+)
 from pipeline.evaluation.command import evaluate_command
 from pipeline.options import ConfigurationSource, Maps, Output, Settings
 from pipeline.tiles.commands import (
@@ -94,12 +101,14 @@ def run_command(
         str | None,
         typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler."),
     ] = None,
+    cluster: ClusterName = None,
+    tls: TLS = False,
 ) -> None:
     """Clean a map: write it without its ghosts, and the ghosts beside it.
 
     A run that was interrupted goes on where it was when the same command is given again.
     """
-    from pipeline.configuration import load_configuration  # noqa: PLC0415
+    from pipeline.configuration import is_elsewhere, load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.run import run  # noqa: PLC0415
@@ -107,9 +116,12 @@ def run_command(
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
     wanted += [f"execution.scheduler={scheduler}"] if scheduler else []
+    wanted += cluster_settings(cluster, tls)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
+    if tls and not is_elsewhere(configuration):
+        raise ConfigurationError("--tls: expected --cluster or --scheduler with it, found neither")
     with watching() as observer:
         report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
@@ -202,6 +214,8 @@ app.command("plan")(plan_command)
 app.command("tile")(tile_command)
 app.command("status")(status_command)
 app.command("clean")(clean_command)
+app.command("submit")(submit_command)
+app.command("cancel")(cancel_command)
 app.command("evaluate")(evaluate_command)
 
 

@@ -1,17 +1,18 @@
 """The configuration of a run: one YAML file, small models, unknown keys refused."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters, validation_message
+from pipeline.cluster.parameters import BATCH_SYSTEMS, BatchSystemName, ClusterParameters
 from pipeline.errors import ConfigurationError
+from pipeline.quantities import Bytes
 
 _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 """What PyYAML raises: ValueError for a date like 2024-13-45, RecursionError for deep brackets."""
@@ -19,33 +20,16 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 Model = TypeVar("Model", bound=BaseModel)
 
 
-_UNITS = {
-    "": 1, "b": 1,
-    "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12,
-    "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40,
-}  # fmt: skip
-
-
-def _bytes(value: object) -> object:
-    """Turn text like `1.5 GiB` into bytes; anything else is left to be refused."""
-    if not isinstance(value, str):
-        return value
-    match = re.fullmatch(r"([0-9.]+)\s*([a-z]*)", value.strip().lower())
-    try:
-        return int(float(match[1]) * _UNITS[match[2]]) if match else value
-    except (ValueError, KeyError):
-        return value
-
-
 class ExecutionParameters(BaseModel):
     """How the work is spread over the machine; the result does not depend on it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    cluster: Literal["local", "none"] = Field(
+    cluster: Literal["local", "none"] | BatchSystemName = Field(
         "local",
         description="Where tiles are worked on. `local`: workers on this machine, one process "
-        "each. `none`: this process, one tile after the other.",
+        "each. `none`: this process, one tile after the other. Others: workers that this batch "
+        "system starts, as the section `cluster` says.",
     )
     scheduler: str | None = Field(
         None,
@@ -57,7 +41,7 @@ class ExecutionParameters(BaseModel):
         description="Workers, or threads where the map is one tile; `auto`: one for each "
         "available core.",
     )
-    memory: Annotated[int, Field(ge=1), BeforeValidator(_bytes)] | Literal["auto"] = Field(
+    memory: Bytes | Literal["auto"] = Field(
         "auto",
         description="Memory of a worker, such as 2GiB; `auto`: its share of what is free. What "
         "would take more is refused before any work.",
@@ -142,6 +126,7 @@ class Configuration(MethodParameters):
 
     tiling: TilingParameters = TilingParameters()
     execution: ExecutionParameters = ExecutionParameters()
+    cluster: ClusterParameters = ClusterParameters()
     output: OutputParameters = OutputParameters()
 
     def method(self) -> MethodParameters:
@@ -153,6 +138,12 @@ class Configuration(MethodParameters):
     def to_yaml(self) -> str:
         """Return the configuration as the YAML that `load_configuration` reads back."""
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+
+
+def is_elsewhere(configuration: Configuration) -> bool:
+    """Tell whether workers are not processes of this machine that the run starts itself."""
+    execution = configuration.execution
+    return execution.scheduler is not None or execution.cluster in BATCH_SYSTEMS
 
 
 def ready_configurations() -> dict[str, Path]:

@@ -61,6 +61,8 @@ def _allowed(field: FieldInfo) -> str:
     options = get_args(field.annotation) or (field.annotation,)
     if get_origin(field.annotation) is Literal:
         return ", ".join(f"`{option}`" for option in options)
+    if get_origin(field.annotation) is tuple:
+        return "list of text"
     kinds, bounds = [], list(field.metadata)
     for option in options:
         if get_origin(option) is Annotated:

@@ -43,3 +43,7 @@ class TasksFailedError(PipelineError):
 
 class WorkError(PipelineError):
     """A folder holds no work of a run, or is not one that may be removed."""
+
+
+class ClusterError(PipelineError):
+    """A batch system does not start what it is asked for, or workers cannot take part."""

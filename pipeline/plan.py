@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.ground import ground_radius, height_radius
-from pipeline.configuration import Configuration
+from pipeline.configuration import Configuration, is_elsewhere
 from pipeline.errors import PlanError
 from pipeline.machine import available_memory
 from tiling.formats.collection import MapCollection
@@ -251,6 +251,8 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
 
 def worker_memory_limit(configuration: Configuration, workers: int) -> int:
     """Return the bytes that each worker may take: as configured, or its share of what is free."""
+    if is_elsewhere(configuration) and configuration.execution.scheduler is None:
+        return configuration.cluster.memory
     memory = configuration.execution.memory
     return available_memory() // workers if memory == "auto" else memory
 

@@ -24,7 +24,7 @@ from dynahull import Label, clean
 from dynahull.errors import MissingClassificationError
 from dynahull.loading import load_libraries
 from dynahull.result import ClusterSummary
-from pipeline.configuration import Configuration, OutputParameters
+from pipeline.configuration import Configuration, OutputParameters, is_elsewhere
 from pipeline.errors import LostPointsError, OutputError
 from pipeline.machine import available_cores
 from pipeline.map_state import MapState, unchanged
@@ -45,7 +45,7 @@ from pipeline.report_page.page import render_page
 from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import TileWork
 from pipeline.tiles.cleaning import clean_tiles, exhaust
-from pipeline.tiles.execution import Executor, InProcess, local_workers, running_cluster
+from pipeline.tiles.execution import Executor, InProcess, local_workers
 from pipeline.tiles.fork_server import start_fork_server
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.rows import open_rows
@@ -211,7 +211,7 @@ def clean_in_tiles(
     observer: StageObserver,
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
-    with workers_for(job.configuration) as executor:
+    with workers_for(job) as executor:
         result = clean_tiles(
             job,
             executor,
@@ -240,18 +240,20 @@ def prepare_workers(configuration: Configuration) -> None:
 
 def _are_local(configuration: Configuration) -> bool:
     execution = configuration.execution
-    if execution.scheduler is not None or execution.cluster == "none":
+    if is_elsewhere(configuration) or execution.cluster == "none":
         return False
     return available_cores(execution.workers) > 1
 
 
 @contextmanager
-def workers_for(configuration: Configuration) -> Iterator[Executor]:
+def workers_for(job: Job) -> Iterator[Executor]:
     """Open what does the tasks of a run: this process, workers of this machine, or a cluster."""
-    execution = configuration.execution
-    workers = available_cores(execution.workers)
-    if execution.scheduler is not None:
-        with running_cluster(execution.scheduler) as executor:
+    configuration = job.configuration
+    workers = available_cores(configuration.execution.workers)
+    if is_elsewhere(configuration):
+        from pipeline.cluster.workers import workers_elsewhere  # noqa: PLC0415 (rarely used)
+
+        with workers_elsewhere(configuration, job.root, job.paths) as executor:
             yield executor
     elif _are_local(configuration):
         with local_workers(workers, worker_memory_limit(configuration, workers)) as executor:
@@ -307,7 +309,7 @@ def open_job(
 
 def job_key(digest: str, configuration: Configuration) -> str:
     """Return the hash of all that decides what tasks leave: map, configuration, version."""
-    decisive = configuration.model_dump(mode="json", exclude={"execution"})
+    decisive = configuration.model_dump(mode="json", exclude={"execution", "cluster"})
     output = configuration.output
     decisive["output"] = {"labels": output.needs_scores, "report": output.report}
     text = json.dumps([version("dynahull-pipeline"), digest, decisive], sort_keys=True)

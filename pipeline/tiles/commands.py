@@ -51,9 +51,17 @@ def tile_command(
 
 def status_command(folder: Folder) -> None:
     """Tell how far a run is: its stage, tasks done, failed and waiting, rate and time left."""
+    from pipeline.cluster.record import state_lines  # noqa: PLC0415
+    from pipeline.errors import WorkError  # noqa: PLC0415
     from pipeline.tiles.status import status_text  # noqa: PLC0415
 
-    typer.echo(status_text(folder))
+    jobs = state_lines(folder)
+    try:
+        jobs.append(status_text(folder))
+    except WorkError:
+        if not jobs:  # a run that was submitted and has not begun leaves no work yet
+            raise
+    typer.echo("\n".join(jobs))
 
 
 def clean_command(folder: Folder) -> None:

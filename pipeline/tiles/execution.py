@@ -234,12 +234,3 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
     )
     stack.enter_context(cluster)
     return OnDask(stack.enter_context(Client(cluster, set_as_default=False)))
-
-
-@contextmanager
-def running_cluster(address: str) -> Iterator[Executor]:
-    """Use the workers of a scheduler that is running, such as `tcp://10.0.0.1:8786`."""
-    from distributed import Client  # noqa: PLC0415
-
-    with Client(address, set_as_default=False) as client:
-        yield OnDask(client)

@@ -77,7 +77,7 @@ def tile_map(
                 )
             digest = content_hash(paths)
             job = open_job(work, paths, state, digest, configuration, False, observer)
-            with workers_for(configuration) as executor:
+            with workers_for(job) as executor:
                 plan_tiles(
                     job, executor, observer, lambda plan: check_plan(plan, configuration, output)
                 )

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from pipeline.cluster.record import CLUSTER_FOLDER, submitted_job
 from pipeline.errors import WorkError
 from pipeline.outputs import STAGING, folder_is_locked
 from pipeline.plan import in_time
@@ -81,12 +82,16 @@ def clean_folder(folder: Path) -> str:
         raise WorkError(f"{folder}: expected the output folder of a run, found no such folder")
     if folder_is_locked(folder):
         raise WorkError(f"{folder}: a run is at work in this folder")
-    names = (WORK_FOLDER, REMOVED_FOLDER, STAGING)
+    submitted = submitted_job(folder)
+    if submitted is not None and any(state.alive for state in submitted.states().values()):
+        raise WorkError(f"{folder}: {submitted.system} job {submitted.jobs[0]} is to work here")
+    names = (WORK_FOLDER, REMOVED_FOLDER, STAGING, CLUSTER_FOLDER)
     left = [folder / name for name in names if (folder / name).is_dir()]
     if not left:
         raise WorkError(f"{folder}: no unfinished work of a run in this folder")
     remove_work(folder / WORK_FOLDER)
-    shutil.rmtree(folder / STAGING, ignore_errors=True)
+    for name in (STAGING, CLUSTER_FOLDER):
+        shutil.rmtree(folder / name, ignore_errors=True)
     if not os.listdir(folder):  # noqa: PTH208 (whether there is any)
         folder.rmdir()
     return f"removed: {', '.join(str(path) for path in left)}"

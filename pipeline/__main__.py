@@ -1,0 +1,6 @@
+"""`python -m pipeline`: the command line, where the script of an environment is not on the path."""
+
+from pipeline.cli import main
+
+if __name__ == "__main__":
+    main()

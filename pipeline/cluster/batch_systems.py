@@ -1,0 +1,389 @@
+"""SLURM, PBS, LSF, SGE and HTCondor by name: headers of job scripts, and their commands.
+
+Headers, and the jobs of workers, are dask-jobqueue's; what it does not do is here: a job that is
+not a worker's, and the state of a job.
+"""
+
+import logging
+import re
+import shlex
+import shutil
+import subprocess
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import IO, Any, ClassVar
+
+from pipeline.cluster.parameters import ClusterParameters
+from pipeline.errors import ClusterError, MissingPackageError
+from pipeline.quantities import clock
+
+_PATIENCE = 60
+"""Seconds that a command of a batch system may take."""
+
+
+class Phase(Enum):
+    """Where in its life a job is."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class JobState:
+    """What a batch system says of a job.
+
+    Attributes
+    ----------
+    word : str
+        Its own word for it.
+    phase : Phase
+        What that means.
+    """
+
+    word: str
+    phase: Phase
+
+    @property
+    def alive(self) -> bool:
+        """Whether the job waits or runs."""
+        return self.phase is not Phase.ENDED
+
+
+_UNKNOWN_TO_IT = JobState("ended", Phase.ENDED)
+"""Of a job that the batch system has forgotten."""
+
+
+@dataclass(frozen=True, slots=True)
+class JobDescription:
+    """What a job asks for, in terms that all batch systems have."""
+
+    name: str
+    cores: int
+    memory: int
+    walltime: int
+    queue: str | None
+    resource_spec: str | None
+    logs: Path
+    prologue: Sequence[str]
+
+
+class BatchSystem:
+    """A batch system; subclasses say what is its own.
+
+    Attributes
+    ----------
+    name : str
+        As in the configuration.
+    submit, cancel : tuple of str
+        Commands that are followed by the script, and by the number of a job.
+    """
+
+    name: str
+    cluster_class: str
+    submit: tuple[str, ...]
+    cancel: tuple[str, ...]
+    reads_standard_input = False
+    number = r"(\d+)"
+    script_suffix = ".sh"
+
+    def require(self) -> None:
+        """Raise a `ClusterError` where its commands are not there."""
+        if shutil.which(self.submit[0]) is None:
+            raise ClusterError(
+                f"{self.name}: the command {self.submit[0]} was not found; give the command on a "
+                "machine from which jobs are submitted"
+            )
+
+    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
+        """Return how dask-jobqueue is told of a job."""
+        return {
+            "job_name": job.name,
+            "cores": job.cores,
+            "memory": f"{job.memory}B",
+            "queue": job.queue,
+            "account": parameters.account,
+            "walltime": clock(job.walltime),
+            "job_extra_directives": list(parameters.job_extra_directives),
+            "job_script_prologue": list(job.prologue),
+            "log_directory": str(job.logs),
+        }
+
+    def script(
+        self, parameters: ClusterParameters, job: JobDescription, command: Sequence[str]
+    ) -> str:
+        """Return the script of a job that runs one command."""
+        described = self._described(parameters, job)
+        lines = [described.shebang, "", described.job_header, *job.prologue]
+        return "\n".join([*lines, f"exec {shlex.join(command)}", ""])
+
+    def _described(self, parameters: ClusterParameters, job: JobDescription) -> Any:
+        """Return dask-jobqueue's job, which is never started and only lends its header."""
+        keywords = {"processes": 1, **self.keywords(parameters, job)}
+        return cluster_class(self).job_cls("tcp://unused:0", name=job.name, **keywords)
+
+    def submit_script(self, script: Path) -> str:
+        """Hand over a script; return the number of the job."""
+        if self.reads_standard_input:
+            with script.open(encoding="utf-8") as stream:
+                said = self._called(self.submit, stdin=stream)
+        else:
+            said = self._called((*self.submit, str(script)))
+        found = re.search(self.number, said)
+        if found is None:
+            raise ClusterError(
+                f"{self.submit[0]}: expected the number of a job, found {_one_line(said)!r}"
+            )
+        return found[1]
+
+    def cancel_jobs(self, jobs: Sequence[str]) -> None:
+        """Cancel jobs; those that have ended meanwhile do not matter."""
+        for job in jobs:
+            try:
+                self._called((*self.cancel, job))
+            except ClusterError:
+                if self.states([job])[job].alive:
+                    raise
+
+    def states(self, jobs: Sequence[str]) -> Mapping[str, JobState]:
+        """Ask for the states of jobs.
+
+        Raises
+        ------
+        ClusterError
+            When there is no answer, which says nothing of the jobs.
+        """
+        return {job: self._state(job) for job in jobs}
+
+    def _state(self, job: str) -> JobState:
+        raise NotImplementedError
+
+    def _called(
+        self, command: Sequence[str], gone: str | None = None, stdin: IO[str] | None = None
+    ) -> str:
+        """Return what a command prints; nothing where its complaint matches `gone`."""
+        try:
+            done = subprocess.run(
+                command,
+                stdin=stdin,
+                capture_output=True,
+                text=True,
+                timeout=_PATIENCE,
+                check=False,
+            )
+        except FileNotFoundError:
+            raise ClusterError(f"{self.name}: the command {command[0]} was not found") from None
+        except subprocess.TimeoutExpired:
+            raise ClusterError(f"{command[0]}: no answer within {_PATIENCE} s") from None
+        if done.returncode == 0:
+            return done.stdout
+        if gone is not None and re.search(gone, done.stdout + done.stderr):
+            return ""
+        said = _one_line(done.stderr or done.stdout) or f"exit code {done.returncode}"
+        raise ClusterError(f"{command[0]}: {said}")
+
+
+class Slurm(BatchSystem):
+    """SLURM: sbatch, scancel, squeue, and sacct for jobs that squeue has forgotten."""
+
+    name = "slurm"
+    cluster_class = "SLURMCluster"
+    submit = ("sbatch", "--parsable")
+    cancel = ("scancel",)
+
+    _PHASES: ClassVar[Mapping[str, Phase]] = {
+        **dict.fromkeys(("PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_HOLD", "RESV_DEL_HOLD",
+                         "REQUEUE_FED", "SPECIAL_EXIT"), Phase.WAITING),
+        **dict.fromkeys(("RUNNING", "COMPLETING", "RESIZING", "SIGNALING", "STAGE_OUT", "STOPPED",
+                         "SUSPENDED"), Phase.RUNNING),
+    }  # fmt: skip
+
+    def states(self, jobs: Sequence[str]) -> Mapping[str, JobState]:
+        """Ask once for all jobs."""
+        said = self._called(
+            ("squeue", "--noheader", "--states=all", "--format=%i %T", "--jobs", ",".join(jobs)),
+            gone="Invalid job id",
+        )
+        words = dict(line.split() for line in said.splitlines())
+        return {
+            job: JobState(words[job], self._PHASES.get(words[job], Phase.ENDED))
+            if job in words
+            else JobState(self._remembered(job), Phase.ENDED)
+            for job in jobs
+        }
+
+    def _remembered(self, job: str) -> str:
+        """Ask the accounting, which not every cluster keeps."""
+        try:
+            said = self._called(("sacct", "-n", "-X", "-P", "-o", "State", "-j", job))
+        except ClusterError:
+            said = ""
+        return said.split()[0] if said.split() else "ended"
+
+
+class PBS(BatchSystem):
+    """PBS Professional, OpenPBS and Torque: qsub, qdel, qstat."""
+
+    name = "pbs"
+    cluster_class = "PBSCluster"
+    submit = ("qsub",)
+    cancel = ("qdel",)
+    number = r"(\d+(?:\[\])?(?:\.\S+)?)"
+
+    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
+        """Add the resources."""
+        described = super().keywords(parameters, job)
+        return {**described, "resource_spec": job.resource_spec}
+
+    def _state(self, job: str) -> JobState:
+        said = self._called(("qstat", "-f", job), gone=r"Unknown Job|has finished")
+        found = re.search(r"job_state = (\w)", said)
+        return _state_of(found[1] if found else None, waiting="QHWT", ended="CFEX")
+
+
+class LSF(BatchSystem):
+    """IBM Spectrum LSF: bsub, bkill, bjobs."""
+
+    name = "lsf"
+    cluster_class = "LSFCluster"
+    submit = ("bsub",)
+    cancel = ("bkill",)
+    reads_standard_input = True  # a script given by its name is not looked into for options
+    number = r"Job <(\d+)>"
+
+    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
+        """Name the account a project, and leave out the seconds."""
+        described = super().keywords(parameters, job)
+        minutes = -(-job.walltime // 60)
+        described["walltime"] = f"{minutes // 60:02d}:{minutes % 60:02d}"
+        described["project"] = described.pop("account")
+        return described
+
+    def _state(self, job: str) -> JobState:
+        said = self._called(("bjobs", "-noheader", "-o", "stat", job), gone=r"is not found")
+        ended = ("DONE", "EXIT", "ZOMBI")
+        return _state_of(said.strip() or None, waiting=("PEND", "PSUSP", "WAIT"), ended=ended)
+
+
+class SGE(BatchSystem):
+    """Grid Engine: qsub, qdel, qstat."""
+
+    name = "sge"
+    cluster_class = "SGECluster"
+    submit = ("qsub",)
+    cancel = ("qdel",)
+    number = r"Your job (\d+)"
+
+    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
+        """Name the account a project, and add the resources."""
+        described = super().keywords(parameters, job)
+        described["resource_spec"] = job.resource_spec
+        described["project"] = described.pop("account")
+        return described
+
+    def _state(self, job: str) -> JobState:
+        rows = [line.split() for line in self._called(("qstat", "-u", "*")).splitlines()]
+        word = next((row[4] for row in rows if len(row) > 4 and row[0] == job), None)
+        return _state_of(word, waiting=("qw", "hqw", "hRwq", "Rq", "Eqw"), ended=())
+
+
+class HTCondor(BatchSystem):
+    """HTCondor: condor_submit, condor_rm, condor_q."""
+
+    name = "htcondor"
+    cluster_class = "HTCondorCluster"
+    submit = ("condor_submit",)
+    cancel = ("condor_rm",)
+    number = r"submitted to cluster (\d+)"
+    script_suffix = ".sub"
+
+    _WORDS: ClassVar[Mapping[str, str]] = {
+        "1": "IDLE", "2": "RUNNING", "3": "REMOVED", "4": "COMPLETED", "5": "HELD",
+        "6": "TRANSFERRING", "7": "SUSPENDED",
+    }  # fmt: skip
+
+    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
+        """Say account and time by their names there; there are no queues."""
+        if job.queue is not None:
+            raise ClusterError("cluster.queue: HTCondor has no queues; leave it null")
+        described = super().keywords(parameters, job)
+        for unknown in ("queue", "account", "walltime"):
+            del described[unknown]
+        attributes = {"allowed_execute_duration": str(job.walltime)}
+        if parameters.account is not None:
+            attributes["accounting_group"] = parameters.account
+        for line in parameters.job_extra_directives:
+            name, equals, value = line.partition("=")
+            if not equals:
+                raise ClusterError(
+                    f"cluster.job_extra_directives: expected `name = value` for HTCondor, found "
+                    f"{line!r}"
+                )
+            attributes[name.strip()] = value.strip()
+        described["job_extra_directives"] = attributes
+        return {**described, "disk": f"{parameters.disk}B"}
+
+    def script(
+        self, parameters: ClusterParameters, job: JobDescription, command: Sequence[str]
+    ) -> str:
+        """Return a submit description: its lines are not shell."""
+        from dask_jobqueue import htcondor  # noqa: PLC0415 (an extra)
+
+        described = self._described(parameters, job)
+        shell = "; ".join([*job.prologue, f"exec {shlex.join(command)}"])
+        return "\n".join(
+            [
+                described.shebang,
+                "",
+                *(f"{name} = {value}" for name, value in described.job_header_dict.items()),
+                f'Arguments = "{htcondor.quote_arguments(["-c", shell])}"',
+                f"Executable = {described.executable}",
+                "",
+                "Queue",
+                "",
+            ]
+        )
+
+    def _state(self, job: str) -> JobState:
+        said = self._called(("condor_q", job, "-autoformat", "JobStatus")).split()
+        word = self._WORDS.get(said[0], said[0]) if said else None
+        return _state_of(word, waiting=("IDLE", "HELD"), ended=("REMOVED", "COMPLETED"))
+
+
+def batch_system(name: str) -> BatchSystem:
+    """Return a batch system by its name in the configuration."""
+    return {system.name: system for system in (Slurm, PBS, LSF, SGE, HTCondor)}[name]()
+
+
+def cluster_class(system: BatchSystem) -> Any:
+    """Return dask-jobqueue's class of a batch system.
+
+    Raises
+    ------
+    MissingPackageError
+        When the optional package is not installed.
+    """
+    try:
+        import dask_jobqueue  # noqa: PLC0415 (an extra)
+    except ImportError:
+        raise MissingPackageError(
+            f"{system.name}: jobs of a batch system need the optional package dask-jobqueue: "
+            "pip install 'dynahull-pipeline[cluster]'"
+        ) from None
+    logging.getLogger("dask_jobqueue").setLevel(logging.WARNING)  # it tells of its defaults
+    return getattr(dask_jobqueue, system.cluster_class)
+
+
+def _state_of(word: str | None, waiting: Container[str], ended: Container[str]) -> JobState:
+    """Return what a word means, None being that of a job that is not known any more."""
+    if word is None:
+        return _UNKNOWN_TO_IT
+    if word in waiting:
+        return JobState(word, Phase.WAITING)
+    return JobState(word, Phase.ENDED if word in ended else Phase.RUNNING)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

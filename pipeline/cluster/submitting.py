@@ -1,0 +1,171 @@
+"""A whole run as a job of a batch system: its script, and its submission."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.cluster.batch_systems import BatchSystem, JobDescription, batch_system
+from pipeline.cluster.parameters import BATCH_SYSTEMS, ClusterParameters
+from pipeline.cluster.record import (
+    cluster_folder,
+    logs_folder,
+    record_submitted,
+    submitted_job,
+    worker_jobs,
+)
+from pipeline.cluster.workers import check_folder
+from pipeline.configuration import Configuration
+from pipeline.errors import ConfigurationError, OutputError
+from pipeline.outputs import default_folder, folder_is_locked
+from tiling.atomic import atomic_file
+from tiling.formats.collection import find_map_files
+
+CONFIGURATION_FILE = "config.yaml"
+
+
+def run_script(
+    maps: Sequence[str], output: Path | None, configuration: Configuration, *, fresh: bool = False
+) -> str:
+    """Return the script of the job, and leave nothing behind.
+
+    Raises
+    ------
+    TilingError, PipelineError
+        Where it would be refused.
+    """
+    system = _system(configuration)
+    folder = _output(maps, output)
+    logs = logs_folder(folder).resolve()
+    missing = [path for path in (logs, *logs.parents) if not path.exists()]
+    try:
+        return _script(system, maps, folder, configuration, fresh)
+    finally:
+        for path in missing:  # dask-jobqueue makes the folder of the logs
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
+
+
+def submit_run(
+    maps: Sequence[str], output: Path | None, configuration: Configuration, *, fresh: bool = False
+) -> tuple[str, Path]:
+    """Hand a run over to a batch system.
+
+    Parameters
+    ----------
+    maps : sequence of str
+        Files, folders or globs that together are one map.
+    output : Path or None
+        Output folder; `<map>_dynahull` in the current folder by default.
+    configuration : Configuration
+        Its `execution.cluster` names the batch system.
+    fresh : bool
+        Start over, whatever an earlier run of this map left in the output folder.
+
+    Returns
+    -------
+    job : str
+        Its number.
+    output : Path
+
+    Raises
+    ------
+    TilingError, PipelineError
+        With nothing submitted.
+    """
+    system = _system(configuration)
+    folder = _output(maps, output)
+    _refuse_another(folder)
+    system.require()
+    script = _script(system, maps, folder, configuration, fresh)
+    place = cluster_folder(folder)
+    logs_folder(folder).mkdir(parents=True, exist_ok=True)
+    path = place / f"run{system.script_suffix}"
+    for name, text in (
+        (place / CONFIGURATION_FILE, _of_the_run(configuration).to_yaml()),
+        (path, script),
+    ):
+        with atomic_file(name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    job = system.submit_script(path.resolve())
+    record_submitted(folder, system.name, job)
+    return job, folder
+
+
+def _system(configuration: Configuration) -> BatchSystem:
+    name = configuration.execution.cluster
+    if name not in BATCH_SYSTEMS or configuration.execution.scheduler is not None:
+        raise ConfigurationError(
+            f"submit: expected one of --cluster {', '.join(BATCH_SYSTEMS)}, found "
+            f"{configuration.execution.scheduler or name}"
+        )
+    return batch_system(name)
+
+
+def _output(maps: Sequence[str], output: Path | None) -> Path:
+    folder = output or default_folder(find_map_files(maps))
+    check_folder(folder)
+    return folder
+
+
+def _refuse_another(folder: Path) -> None:
+    """Refuse a folder in which a run is at work, or is going to be."""
+    if folder.is_dir() and folder_is_locked(folder):
+        raise OutputError(f"{folder}: another run is writing into this folder")
+    for recorded in (submitted_job(folder), worker_jobs(folder)):
+        if recorded is None:
+            continue
+        for job, state in recorded.states().items():
+            if state.alive:
+                raise OutputError(
+                    f"{folder}: {recorded.system} job {job} is there for this folder "
+                    f"({state.word}); cancel it first: dynahull-pipeline cancel {folder}"
+                )
+
+
+def _script(
+    system: BatchSystem,
+    maps: Sequence[str],
+    folder: Path,
+    configuration: Configuration,
+    fresh: bool,
+) -> str:
+    find_map_files(maps)  # complains where there are none
+    parameters = configuration.cluster
+    command = [
+        parameters.python or sys.executable,
+        *("-m", "pipeline", "run"),
+        *(str(Path(each).absolute()) for each in maps),
+        *("-o", str(folder.resolve())),
+        *("-c", str(cluster_folder(folder).resolve() / CONFIGURATION_FILE)),
+        *(["--fresh"] if fresh else []),
+    ]
+    return system.script(parameters, _run_job(parameters, folder), command)
+
+
+def _run_job(parameters: ClusterParameters, folder: Path) -> JobDescription:
+    run = parameters.run
+    return JobDescription(
+        name=parameters.job_name,
+        cores=run.cores,
+        memory=run.memory,
+        walltime=run.walltime,
+        queue=run.queue or parameters.queue,
+        resource_spec=run.resource_spec,
+        logs=logs_folder(folder).resolve(),
+        prologue=parameters.prologue,
+    )
+
+
+def _of_the_run(configuration: Configuration) -> Configuration:
+    """Return the configuration of the run within its job: it has the cores that the job has."""
+    execution = configuration.execution
+    changes: dict[str, object] = {}
+    if execution.workers == "auto":
+        changes["workers"] = configuration.cluster.run.cores
+    if configuration.cluster.workers == 0:
+        changes["cluster"] = "local"
+        if execution.memory == "auto":
+            # A tenth is for the run itself.
+            share = configuration.cluster.run.memory * 9 // 10
+            changes["memory"] = share // configuration.cluster.run.cores
+    return configuration.model_copy(update={"execution": execution.model_copy(update=changes)})

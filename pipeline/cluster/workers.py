@@ -1,0 +1,266 @@
+"""Executors on a cluster: workers that a batch system starts, or those of a running scheduler."""
+
+import logging
+import re
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pipeline.cluster.attendance import Attendance
+from pipeline.cluster.batch_systems import (
+    BatchSystem,
+    JobDescription,
+    batch_system,
+    cluster_class,
+)
+from pipeline.cluster.parameters import ClusterParameters
+from pipeline.cluster.record import cluster_folder, logs_folder, record_workers
+from pipeline.cluster.security import cluster_security, scheduler_security
+from pipeline.configuration import Configuration
+from pipeline.errors import ClusterError, ConfigurationError
+from pipeline.tiles.execution import Executor, OnDask, Outcome, Task
+from pipeline.tiles.fork_server import WORKER_ENVIRONMENT
+
+logger = logging.getLogger("dynahull")
+
+_ALLOWED_FAILURES = 10
+"""Workers that may be lost with a task before it is given up; rarely is it the task's fault."""
+
+_LOOPBACK = "127.0.0.1:0"
+
+JOB_ENVIRONMENT = {
+    **WORKER_ENVIRONMENT,
+    "DASK_DISTRIBUTED__WORKER__MEMORY__TARGET": "False",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__SPILL": "False",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__PAUSE": "False",
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "60s",
+}
+"""Set in the job of a worker: what `local_workers` sets in its process."""
+
+
+class OnCluster(OnDask):
+    """Runs tasks on workers that come and go, of which a fixed number is kept.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    attendance : Attendance
+    workers : int
+        The number that is kept.
+    """
+
+    def __init__(self, client: Any, attendance: Attendance, workers: int) -> None:
+        super().__init__(client)
+        self._attendance, self._kept = attendance, workers
+
+    @property
+    def workers(self) -> int:
+        """Workers that are there, or will be again."""
+        return self._kept
+
+    def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
+        """Do the tasks; raise a `ClusterError` where no workers come any more."""
+        for number, outcome in super().run(task, folder, numbers):
+            self._attendance.check()
+            yield number, outcome
+
+
+@contextmanager
+def workers_elsewhere(
+    configuration: Configuration, work: Path, maps: Sequence[Path]
+) -> Iterator[Executor]:
+    """Open workers that are not processes of this run: of a running scheduler, or a batch system.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    work : Path
+        Work folder of the run, in its output folder.
+    maps : sequence of Path
+        The map's files, which workers read.
+
+    Raises
+    ------
+    PipelineError
+        When there are no workers to be had, or they do not share what they must.
+    """
+    if configuration.execution.scheduler is not None:
+        with running_scheduler(configuration, work, maps) as executor:
+            yield executor
+    else:
+        with cluster_workers(configuration, work, maps) as executor:
+            yield executor
+
+
+@contextmanager
+def cluster_workers(
+    configuration: Configuration, work: Path, maps: Sequence[Path]
+) -> Iterator[Executor]:
+    """Start workers as jobs of a batch system, and keep their number until the end.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Its `execution.cluster` names the batch system.
+    work, maps
+        As of `workers_elsewhere`.
+
+    Raises
+    ------
+    ClusterError
+        When jobs cannot be submitted, or end before their workers are there.
+    ConfigurationError, MissingPackageError
+        Before any job.
+    """
+    parameters, output = configuration.cluster, work.parent
+    system = batch_system(configuration.execution.cluster)
+    check_ready(system, parameters, output)
+    import dask  # noqa: PLC0415 (only where it is used)
+    from distributed import Client  # noqa: PLC0415
+
+    from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck  # noqa: PLC0415
+
+    settings = {
+        "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
+        "distributed.admin.log-length": 1_000,
+        "distributed.comm.timeouts.connect": "60s",
+        # Who is lost is decided by Attendance.
+        "distributed.deploy.lost-worker-timeout": "3650 days",
+    }
+    with (
+        dask.config.set(settings),
+        _quiet_dask(),
+        make_cluster(system, parameters, output) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        if parameters.dashboard is not None:
+            logger.info("dashboard: %s", cluster.dashboard_link)
+        attendance = Attendance(cluster, client, system, parameters, output)
+        client.subscribe_topic(TOPIC, attendance.refused)
+        shared = SharedFiles.of(work, maps)
+        try:
+            client.register_plugin(SharingCheck(shared))
+            attendance.begin()
+            yield OnCluster(client, attendance, parameters.workers)
+        finally:
+            attendance.end()
+            shared.remove()
+    record_workers(output, system.name, [])
+
+
+@contextmanager
+def running_scheduler(
+    configuration: Configuration, work: Path, maps: Sequence[Path]
+) -> Iterator[Executor]:
+    """Use the workers of a scheduler that is running, such as `tcp://10.0.0.1:8786`.
+
+    Raises
+    ------
+    ClusterError
+        When one of its workers does not share what it must.
+    """
+    from distributed import Client  # noqa: PLC0415
+
+    from pipeline.cluster.sharing import SharedFiles, check_running_workers  # noqa: PLC0415
+
+    address = str(configuration.execution.scheduler)
+    security = scheduler_security(configuration.cluster.tls, address)
+    with Client(address, security=security, set_as_default=False) as client:
+        shared = SharedFiles.of(work, maps)
+        try:
+            trouble = check_running_workers(client, shared)
+        finally:
+            shared.remove()
+        if trouble is not None:
+            raise ClusterError(f"{address}: the worker on {trouble}")
+        yield OnDask(client)
+
+
+@contextmanager
+def _quiet_dask() -> Iterator[None]:
+    """Keep back what a scheduler in this process has to say: who comes and goes is said here."""
+    noisy = logging.getLogger("distributed")
+    before = noisy.level
+    noisy.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        noisy.setLevel(before)
+
+
+def check_ready(system: BatchSystem, parameters: ClusterParameters, output: Path) -> None:
+    """Raise, before anything is started, where jobs cannot be started at all."""
+    if parameters.workers == 0:
+        raise ConfigurationError("cluster.workers: 0 is for `submit`; a run needs one at least")
+    check_folder(output)
+    if parameters.dashboard is not None:
+        from importlib.util import find_spec  # noqa: PLC0415 (rarely used)
+
+        if find_spec("bokeh") is None:
+            raise ConfigurationError("cluster.dashboard: the dashboard needs the package bokeh")
+    cluster_class(system)
+    system.require()
+
+
+def check_folder(output: Path) -> None:
+    """Raise where a job script could not name the folder."""
+    if re.search(r"[\s'\"%\\]", str(output.resolve())):
+        raise ClusterError(
+            f"{output}: expected a path without blanks, quotes, % and \\, which job scripts cannot "
+            "name; choose another -o"
+        )
+
+
+def make_cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -> Any:
+    """Return dask-jobqueue's cluster with a scheduler in this process and no workers yet."""
+    job = worker_job(parameters, output)
+    shared = cluster_folder(output)
+    shared.mkdir(parents=True, exist_ok=True)
+    options: dict[str, Any] = {"dashboard_address": parameters.dashboard or _LOOPBACK}
+    if parameters.scheduler_interface is not None:
+        options["interface"] = parameters.scheduler_interface
+    return cluster_class(system)(
+        n_workers=0,
+        security=cluster_security(parameters.tls),
+        shared_temp_directory=str(shared.resolve()),
+        scheduler_options=options,
+        silence_logs=50,
+        **worker_keywords(system, parameters, job),
+    )
+
+
+def worker_job(parameters: ClusterParameters, output: Path) -> JobDescription:
+    """Return what the job of a worker, or of several, asks for."""
+    environment = [f"export {name}={value}" for name, value in JOB_ENVIRONMENT.items()]
+    return JobDescription(
+        name=f"{parameters.job_name}-worker",
+        cores=parameters.workers_per_job,
+        memory=parameters.memory * parameters.workers_per_job,
+        walltime=parameters.walltime,
+        queue=parameters.queue,
+        resource_spec=parameters.resource_spec,
+        logs=logs_folder(output).resolve(),
+        prologue=[*parameters.prologue, *environment],
+    )
+
+
+def worker_keywords(
+    system: BatchSystem, parameters: ClusterParameters, job: JobDescription
+) -> dict[str, Any]:
+    """Return how dask-jobqueue is told of the workers."""
+    arguments = ["--dashboard-address", _LOOPBACK]
+    if parameters.lifetime_seconds is not None:
+        arguments += ["--lifetime", f"{parameters.lifetime_seconds}s"]
+        arguments += ["--lifetime-stagger", f"{parameters.stagger_seconds}s"]
+    keywords = system.keywords(parameters, job)
+    keywords["processes"] = parameters.workers_per_job
+    keywords["worker_extra_args"] = arguments
+    if parameters.interface is not None:
+        keywords["interface"] = parameters.interface
+    if parameters.local_directory is not None:
+        keywords["local_directory"] = shlex.quote(parameters.local_directory)
+    if parameters.python is not None:
+        keywords["python"] = shlex.quote(parameters.python)
+    return keywords
