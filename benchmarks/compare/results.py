@@ -1,14 +1,15 @@
-"""The figures of one method on one scene, and their means over the scenes of a group."""
+"""The figures of one method on one scene, and over the scenes of a group."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
+from typing import NamedTuple
 
 from benchmarks.compare.isolated import Outcome
 from pipeline.evaluation.evaluate import Figures
 from pipeline.evaluation.scoring import Scores
 
-__all__ = ["COLUMNS", "Result", "mean_of"]
+__all__ = ["COLUMNS", "Result", "Row", "Spread", "row_of"]
 
 _MILLIMETRES = 1000.0
 
@@ -48,7 +49,7 @@ COLUMNS: dict[str, Callable[[Figures], float | None]] = {
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One method on one scene, or the means of several.
+    """One method on one scene.
 
     Attributes
     ----------
@@ -86,22 +87,44 @@ class Result:
         }
 
 
-def mean_of(results: Sequence[Result]) -> Result:
-    """Return the means of a method over scenes; skipped if it was skipped on one of them."""
+class Spread(NamedTuple):
+    """A figure over several scenes."""
+
+    mean: float
+    least: float
+    largest: float
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One method over the scenes of a group.
+
+    Attributes
+    ----------
+    method, family : str
+    scenes : int
+        On which it was run.
+    skipped : str or None
+        Why there are no figures: it was skipped on one of the scenes.
+    figures : dict of str to Spread or None
+        By column; None where undefined for a scene.
+    """
+
+    method: str
+    family: str
+    scenes: int
+    skipped: str | None
+    figures: dict[str, Spread | None]
+
+
+def row_of(results: Sequence[Result]) -> Row:
+    """Put together the results of a method."""
     first = results[0]
     skipped = next((each.skipped for each in results if each.skipped), None)
-    figures: dict[str, float | None] = {}
+    figures: dict[str, Spread | None] = {}
     for column in first.figures if skipped is None else ():
         values = [each.figures[column] for each in results]
         defined = [value for value in values if value is not None]
-        figures[column] = fmean(defined) if len(defined) == len(values) else None
-    return Result(
-        method=first.method,
-        family=first.family,
-        scene=", ".join(each.scene for each in results),
-        group=first.group,
-        points=sum(each.points for each in results),
-        skipped=skipped,
-        exhausted=any(each.exhausted for each in results),
-        figures=figures,
-    )
+        complete = len(defined) == len(values)
+        figures[column] = Spread(fmean(defined), min(defined), max(defined)) if complete else None
+    return Row(first.method, first.family, len(results), skipped, figures)

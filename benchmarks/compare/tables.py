@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from benchmarks.compare.results import Result, mean_of
+from benchmarks.compare.results import Result, Spread, row_of
 
 __all__ = ["tables"]
 
@@ -40,7 +40,7 @@ _TABLES = {
 
 
 def tables(results: Sequence[Result]) -> str:
-    """Return the tables of each group of scenes, a row a method, means where scenes are several."""
+    """Return the tables of each group of scenes, a row a method: means, and ranges."""
     by_group = sorted(results, key=lambda each: _first(results, each))
     return "\n".join(
         line
@@ -56,25 +56,28 @@ def _first(results: Sequence[Result], result: Result) -> int:
 
 def _group(group: str, results: Sequence[Result]) -> Iterator[str]:
     names = dict.fromkeys(each.method for each in results)
-    means = [mean_of([each for each in results if each.method == name]) for name in names]
-    scenes = dict.fromkeys(each.scene for each in results)
-    points = sum({each.scene: each.points for each in results}.values())
+    rows = [row_of([each for each in results if each.method == name]) for name in names]
+    scenes = {each.scene: each.points for each in results}
     yield f"\n## {group}\n"
-    yield f"{len(scenes)} scene{'s' * (len(scenes) > 1)}, {points:,} points: {'; '.join(scenes)}.\n"
+    yield f"{sum(scenes.values()):,} points: {'; '.join(scenes)}.\n"
     for title, columns in _TABLES.items():
         yield f"### {title}\n"
-        yield "| method | needs | " + " | ".join(columns) + " |"
-        yield "|---|---|" + "---|" * len(columns)
-        for mean in means:
-            if mean.skipped is None:
-                cells = [_cell(mean.figures[name], digits) for name, digits in columns.items()]
-                yield f"| {mean.method} | {mean.family} | " + " | ".join(cells) + " |"
+        yield "| method | needs | scenes | " + " | ".join(columns) + " |"
+        yield "|---|---|---|" + "---|" * len(columns)
+        for row in rows:
+            if row.skipped is None:
+                cells = [_cell(row.figures[name], digits) for name, digits in columns.items()]
+                yield f"| {row.method} | {row.family} | {row.scenes} | " + " | ".join(cells) + " |"
         yield ""
-    skipped = [mean for mean in means if mean.skipped is not None]
+    skipped = [row for row in rows if row.skipped is not None]
     if skipped:
         yield "Skipped:\n"
-        yield from (f"- {mean.method}: {mean.skipped}" for mean in skipped)
+        yield from (f"- {row.method}: {row.skipped}" for row in skipped)
 
 
-def _cell(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:,.{digits}f}"
+def _cell(value: Spread | None, digits: int) -> str:
+    """Return the mean, and from the least to the largest where they differ as written."""
+    if value is None:
+        return "-"
+    mean, least, largest = (f"{each:,.{digits}f}" for each in value)
+    return mean if least == largest else f"{mean} ({least} to {largest})"

@@ -45,7 +45,7 @@ def test_ours_and_a_peer_share_a_table_and_a_missing_peer_says_so(tmp_path):
     assert paper["figures"]["EMD"] > 0
     accuracies = [paper["figures"][name] for name in ("SA", "DA", "AA")]
     assert accuracies[2] == pytest.approx(math.sqrt(accuracies[0] * accuracies[1]))
-    assert f"| DynaHull, paper | ours | {paper['figures']['MAE']:.2f} |" in done.stdout
+    assert f"| DynaHull, paper | ours | 1 | {paper['figures']['MAE']:.2f} |" in done.stdout
     if which("pdal") is None:
         assert "PDAL is not installed" in pdal["skipped"]
         assert "- PDAL filters.outlier (statistical, 8, 2.0): PDAL is not inst" in done.stdout
@@ -139,15 +139,31 @@ def test_a_method_that_fails_or_takes_too_long_is_skipped_with_the_reason(crossi
     assert slow.skipped == "more than 0.01 s" and slow.exhausted
 
 
-def test_means_are_over_all_scenes_or_none():
-    from benchmarks.compare.results import Result, mean_of  # noqa: PLC0415
+def test_a_row_is_over_all_its_scenes_or_skipped():
+    from benchmarks.compare.results import Result, row_of  # noqa: PLC0415
 
     def result(scene, value, skipped=None):
-        return Result("m", "ours", scene, "g", 10, skipped, False, {"SA": value, "DA": None})
+        figures = {"SA": value, "DA": None, "MAE": 1.0}
+        return Result("m", "ours", scene, "g", 10, skipped, False, figures)
 
-    mean = mean_of([result("a", 90.0), result("b", 80.0)])
-    assert mean.figures == {"SA": 85.0, "DA": None} and mean.points == 20
-    assert mean_of([result("a", 90.0), result("b", 1.0, "too slow")]).skipped == "too slow"
+    row = row_of([result("a", 90.0), result("b", 80.0)])
+    assert row.figures == {"SA": (85.0, 80.0, 90.0), "DA": None, "MAE": (1.0, 1.0, 1.0)}
+    assert row.scenes == 2
+    assert row_of([result("a", 90.0), result("b", 1.0, "too slow")]).skipped == "too slow"
+
+
+def test_tables_tell_means_and_ranges():
+    from benchmarks.compare.results import COLUMNS, Result  # noqa: PLC0415
+    from benchmarks.compare.tables import tables  # noqa: PLC0415
+
+    timed = dict.fromkeys([*COLUMNS, "removed %", "s", "µs a point"], 1.0)
+    results = [
+        Result("m", "ours", scene, "g", 10, None, False, timed | {"SA": sa, "DA": None})
+        for scene, sa in (("a", 90.0), ("b", 80.0))
+    ]
+    lines = tables(results).splitlines()
+    assert "20 points: a; b." in lines
+    assert "| m | ours | 2 | 85.0 (80.0 to 90.0) | - | 1.0 | 1.0 | 1.0 | 1.0 | 1.0 |" in lines
 
 
 def test_what_is_always_there_is_static_and_what_passes_is_not():
