@@ -16,13 +16,14 @@ from numba.core import cgutils
 from numpy.typing import NDArray
 
 VECTOR_BYTES = 64
+LANES = VECTOR_BYTES // 4  # of single precision
 
 INDEX = ir.IntType(64)
 
 
 def padded(count: int) -> int:
     """Return a length of arrays that holds so many numbers in whole vectors."""
-    return (count + 15) // 16 * 16
+    return (count + LANES - 1) // LANES * LANES
 
 
 def aligned(size: int, dtype: Any = np.float64) -> NDArray[Any]:
@@ -154,6 +155,23 @@ class VectorLoop:
         """Count the lanes for which a condition holds."""
         mask = self.builder.bitcast(condition, ir.IntType(self.lanes))
         return self.builder.zext(self.builder.ctpop(mask), INDEX)
+
+    def append(self, condition: Any, integers: Any, data: Any, filled: Any) -> Any:
+        """Write the integers of the lanes for which a condition holds, side by side.
+
+        A whole vector is written, the rest of it without meaning. Returns the next index to fill.
+        """
+        builder = self.builder
+        compress = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(self.bits_vector, [self.bits_vector, condition.type, self.bits_vector]),
+            f"llvm.experimental.vector.compress.v{self.lanes}i{self.bits.width}",
+        )
+        rest = ir.Constant(self.bits_vector, ir.Undefined)
+        chosen = builder.call(compress, [integers, condition, rest])
+        address = builder.bitcast(builder.gep(data, [filled]), self.bits_vector.as_pointer())
+        builder.store(chosen, address, align=self.bits.width // 8)
+        return builder.add(filled, self.count(condition))
 
     def _spread(self, value: Any, vector: Any) -> Any:
         undefined = ir.Constant(vector, ir.Undefined)

@@ -6,21 +6,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled, inlined
-from dynahull.kernels.lanes import aligned, padded
+from dynahull.kernels.lanes import LANES, aligned, padded
 from dynahull.kernels.tree import LEAF_SIZE
-from dynahull.kernels.vectors import largest, lowest_place, places_from, rank_all
+from dynahull.kernels.vectors import largest, rank_all
 
-SLACK = 4
-"""Points beyond the k-th that counting may leave in: sorting them is cheaper than counting on."""
+_FEW = 64
 
 
-class Nearest(NamedTuple):
-    """The nearest points of one query; while being found, a heap with the farthest on top.
+class Pool(NamedTuple):
+    """Points of which to keep the nearest; while being sought, a heap with the farthest on top.
 
     Attributes
     ----------
     distance : (capacity,) float64 array
         Squared distances.
+    at : (capacity,) uint32 array
+        Positions in the tree.
+    rank : (few,) uint64 array
+        How many are nearer, where there are few.
+    tied : (few,) uint64 array
+        Which of them are at the k-th distance.
+    tied_row : (few,) int64 array
+        Row numbers of these.
+    """
+
+    distance: NDArray[np.float64]
+    at: NDArray[np.uint32]
+    rank: NDArray[np.uint64]
+    tied: NDArray[np.uint64]
+    tied_row: NDArray[np.int64]
+
+
+class Nearest(NamedTuple):
+    """The nearest points of one query.
+
+    Attributes
+    ----------
     at : (capacity,) uint32 array
         Positions in the tree.
     measure : (capacity,) float64 array
@@ -29,7 +50,6 @@ class Nearest(NamedTuple):
         Room to sort them.
     """
 
-    distance: NDArray[np.float64]
     at: NDArray[np.uint32]
     measure: NDArray[np.float64]
     key: NDArray[np.float32]
@@ -39,13 +59,23 @@ class Nearest(NamedTuple):
     other_at: NDArray[np.uint32]
 
 
+def make_pool(size: int) -> Pool:
+    """Make room for so many points."""
+    return Pool(
+        aligned(padded(size) + LEAF_SIZE),
+        np.empty(size + LANES, np.uint32),
+        aligned(_FEW, np.uint64),
+        aligned(_FEW, np.uint64),
+        aligned(_FEW, np.int64),
+    )
+
+
 def make_nearest(k: int) -> Nearest:
     """Make room for the neighbours of one query."""
-    size = padded(2 * k + SLACK + LEAF_SIZE)
+    size = padded(k)
     key = aligned(size, np.float32)
     return Nearest(
-        aligned(size + 32),
-        np.empty(size, np.uint32),
+        np.empty(size + LANES, np.uint32),
         np.empty(size),
         key,
         key.view(np.uint32),
@@ -56,74 +86,89 @@ def make_nearest(k: int) -> Nearest:
 
 
 @compiled
-def heapify(nearest: Nearest, k: int, rows: NDArray[np.int64]) -> None:
+def heapify(pool: Pool, k: int, rows: NDArray[np.int64]) -> None:
     """Put the first k points in the order of a heap, the farthest on top."""
     for start in range(k // 2 - 1, -1, -1):
-        _sift_down(nearest, k, start, nearest.distance[start], nearest.at[start], rows)
+        _sift_down(pool, k, start, pool.distance[start], pool.at[start], rows)
 
 
 @compiled
-def offer(nearest: Nearest, k: int, distance: float, at: int, rows: NDArray[np.int64]) -> None:
+def offer(pool: Pool, k: int, distance: float, at: int, rows: NDArray[np.int64]) -> None:
     """Put a point in the place of the farthest of the heap, if it is nearer."""
-    if _is_beyond(nearest.distance[0], nearest.at[0], distance, at, rows):
-        _sift_down(nearest, k, 0, distance, at, rows)
+    if _is_beyond(pool.distance[0], pool.at[0], distance, at, rows):
+        _sift_down(pool, k, 0, distance, at, rows)
 
 
 @compiled
 def _sift_down(
-    nearest: Nearest, k: int, start: int, distance: float, at: int, rows: NDArray[np.int64]
+    pool: Pool, k: int, start: int, distance: float, at: int, rows: NDArray[np.int64]
 ) -> None:
     """Write a point into the heap at `start`, or below it where others are farther."""
     parent = start
     while 2 * parent + 1 < k:
         child = 2 * parent + 1
         if child + 1 < k and _is_beyond(
-            nearest.distance[child + 1],
-            nearest.at[child + 1],
-            nearest.distance[child],
-            nearest.at[child],
-            rows,
+            pool.distance[child + 1], pool.at[child + 1], pool.distance[child], pool.at[child], rows
         ):
             child += 1
-        if not _is_beyond(nearest.distance[child], nearest.at[child], distance, at, rows):
+        if not _is_beyond(pool.distance[child], pool.at[child], distance, at, rows):
             break
-        nearest.distance[parent] = nearest.distance[child]
-        nearest.at[parent] = nearest.at[child]
+        pool.distance[parent] = pool.distance[child]
+        pool.at[parent] = pool.at[child]
         parent = child
-    nearest.distance[parent] = distance
-    nearest.at[parent] = at
+    pool.distance[parent] = distance
+    pool.at[parent] = at
 
 
 @inlined
-def keep_nearest(nearest: Nearest, count: int, k: int, rows: NDArray[np.int64]) -> float:
+def keep_nearest(pool: Pool, count: int, k: int, rows: NDArray[np.int64]) -> float:
     """Drop all but the k nearest of the first `count` points; return the k-th squared distance.
 
-    They are few more than k. Ties go to the smaller row number.
+    Ties go to the smaller row number.
     """
-    farthest = largest(nearest.distance, np.uint64(count))
-    for left in range(count, k, -1):
-        drop = _last_of_farthest(nearest, np.uint64(left), farthest, rows)
-        nearest.distance[drop] = nearest.distance[np.uint64(left - 1)]
-        nearest.at[drop] = nearest.at[np.uint64(left - 1)]
-        farthest = largest(nearest.distance, np.uint64(left - 1))
+    if count > _FEW:
+        return _keep_by_heap(pool, count, k, rows)
+    rank_all(pool.distance, np.uint64(count), pool.rank)
+    kept = np.uint64(0)
+    for i in range(np.uint64(count)):
+        pool.distance[kept], pool.at[kept] = pool.distance[i], pool.at[i]
+        kept += np.uint64(pool.rank[i] < np.uint64(k))
+    farthest = largest(pool.distance, kept)
+    if kept > np.uint64(k):
+        _drop_tied(pool, kept, kept - np.uint64(k), farthest, rows)
     return farthest
 
 
+@compiled
+def _keep_by_heap(pool: Pool, count: int, k: int, rows: NDArray[np.int64]) -> float:
+    heapify(pool, k, rows)
+    for i in range(k, count):
+        offer(pool, k, pool.distance[i], pool.at[i], rows)
+    return pool.distance[0]
+
+
 @inlined
-def _last_of_farthest(
-    nearest: Nearest, count: np.uint64, farthest: float, rows: NDArray[np.int64]
-) -> np.uint64:
-    """Return which of the points at the farthest distance has the largest row number."""
-    last, last_row = np.uint64(0), np.int64(-1)
-    found = False
-    for begin in range(np.uint64(0), count, np.uint64(32)):
-        places = places_from(nearest.distance, begin, farthest)
-        while places:
-            i = begin + lowest_place(places)
-            places &= places - np.uint64(1)
-            if i < count and (not found or rows[nearest.at[i]] > last_row):
-                last, last_row, found = i, rows[nearest.at[i]], True
-    return last
+def _drop_tied(
+    pool: Pool, count: np.uint64, excess: np.uint64, farthest: float, rows: NDArray[np.int64]
+) -> None:
+    """Drop as many as are too many of the points at the farthest distance: the largest rows."""
+    tied = np.uint64(0)
+    for i in range(np.uint64(count)):
+        pool.tied[tied] = i
+        tied += np.uint64(pool.distance[i] == farthest)
+    for i in range(tied):
+        pool.tied_row[i] = rows[pool.at[pool.tied[i]]]
+    last = count
+    # From the back, so that what fills a gap is none of those still to be dropped.
+    for done in range(tied):
+        one = tied - done - np.uint64(1)
+        larger = np.uint64(0)
+        for other in range(tied):
+            larger += np.uint64(pool.tied_row[other] > pool.tied_row[one])
+        if larger < excess:
+            last -= np.uint64(1)
+            pool.distance[pool.tied[one]] = pool.distance[last]
+            pool.at[pool.tied[one]] = pool.at[last]
 
 
 @inlined

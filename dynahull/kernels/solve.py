@@ -11,16 +11,22 @@ from numpy.typing import NDArray
 from dynahull.kernels.candidates import (
     Candidates,
     bound_from,
+    copy_candidates,
     gather_candidates,
     make_candidates,
-    search_list,
 )
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
 from dynahull.kernels.growth import Growth, grow_tree
 from dynahull.kernels.hull import Surface, hull_volume, make_surface
-from dynahull.kernels.nearest import Nearest, keep_nearest, make_nearest, sort_nearest
-from dynahull.kernels.tree import LEAF_SIZE, Tree, middle_of_leaf, point_distance
+from dynahull.kernels.nearest import Nearest, Pool, make_nearest, make_pool, sort_nearest
+from dynahull.kernels.search import search_list
+from dynahull.kernels.tree import (
+    LEAF_SIZE,
+    Tree,
+    middle_of_leaf,
+    point_distance,
+)
 from dynahull.kernels.walk import search_tree
 
 _DIRECTION = (0.6180339887498949, 0.7548776662466927, 0.2192059139)
@@ -34,6 +40,7 @@ class Room(NamedTuple):
 
     candidates: Candidates
     nearest: Nearest
+    pool: Pool
     points: Neighbourhood
     surface: Surface
 
@@ -59,7 +66,14 @@ class Results(NamedTuple):
 
 def make_room(k: int) -> Room:
     """Make room for one thread."""
-    return Room(make_candidates(k), make_nearest(k), make_neighbourhood(k), make_surface(k))
+    candidates = make_candidates(k)
+    return Room(
+        candidates,
+        make_nearest(k),
+        make_pool(candidates.distance.size),
+        make_neighbourhood(k),
+        make_surface(k),
+    )
 
 
 def grow(tree: Tree, rows: NDArray[np.int64], growth: Growth) -> None:
@@ -93,43 +107,56 @@ def solve(
     results : Results
         Written for the queries of these leaves.
     """
-    nearest, points, surface = room.nearest, room.points, room.surface
+    candidates, nearest, pool = room.candidates, room.nearest, room.pool
     density, neighbours = results.density, results.neighbours
     waiting, pause = 0, 0
     for leaf in range(first_leaf, end_leaf):
         begin, end = leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)
-        if not _any_query(tree, queries, begin, end):
+        if _count_queries(tree, queries, begin, end) == 0:
             continue
         middle = middle_of_leaf(tree, leaf)
-        reach = _reach_of_middle(tree, leaf, middle, k, room)
-        leaves = _gather_around(tree, leaf, middle, k, reach, room.candidates)
-        guess = reach
-        for i in range(begin, end):
-            at = np.uint64(tree.order[i])
-            if not queries[at]:
+        reach = guess = _bound_around(tree, middle, k)
+        leaves, scale = _gather_around(tree, middle, middle, middle + 1, k, reach, candidates)
+        # The middle comes first, for the reach that bounds those of the others.
+        for i in range(begin - 1, end):
+            query = middle if i < begin else i
+            at = np.uint64(tree.order[query])
+            if i >= begin and not queries[at]:
                 continue
-            x, y, z = tree.x[i], tree.y[i], tree.z[i]
             if leaves < 0:
-                _search_around(tree, i, k, room)
-                found = k
+                guess = _search_around(tree, query, k, room)
             else:
-                bound = bound_from(reach, point_distance(tree, middle, x, y, z))
-                found = search_list(
-                    tree, x, y, z, k, guess, bound, room.candidates, leaves, nearest
+                away = point_distance(tree, middle, tree.x[query], tree.y[query], tree.z[query])
+                bound = bound_from(reach, away)
+                guess = search_list(
+                    tree, query, k, guess, bound, middle, scale, candidates, leaves, nearest, pool
                 )
-            guess = keep_nearest(nearest, found, k, tree.rows)
+            if i < begin:
+                reach = guess
+                leaves, scale = _gather_around(tree, middle, begin, end, k, reach, candidates)
+                continue
             results.squared_reach[at] = guess
             if neighbours.size:
-                for j in range(np.uint64(k)):
-                    nearest.measure[j] = nearest.distance[j]
-                sort_nearest(nearest, k, tree.rows)
-                for j in range(k):
-                    neighbours[at, j] = tree.rows[nearest.at[j]]
+                _write_neighbours(tree, i, k, nearest, neighbours)
             if density.size:
-                places = _gather_places(tree, i, k, nearest, points)
-                volume, rough = hull_volume(points, places, surface, waiting == 0)
+                places = _gather_places(tree, i, k, nearest, room.points)
+                volume, rough = hull_volume(room.points, places, room.surface, waiting == 0)
                 waiting, pause = _pauses(waiting, pause, rough)
                 density[at] = np.inf if volume == 0.0 else k / volume
+
+
+@inlined
+def _write_neighbours(
+    tree: Tree, query: int, k: int, nearest: Nearest, neighbours: NDArray[np.int64]
+) -> None:
+    """Write down the row numbers of the k nearest points, in order."""
+    x, y, z = tree.x[query], tree.y[query], tree.z[query]
+    for j in range(np.uint64(k)):
+        nearest.measure[j] = point_distance(tree, nearest.at[j], x, y, z)
+    sort_nearest(nearest, k, tree.rows)
+    at = np.uint64(tree.order[query])
+    for j in range(k):
+        neighbours[at, j] = tree.rows[nearest.at[j]]
 
 
 @inlined
@@ -145,21 +172,14 @@ def _pauses(waiting: int, pause: int, rough: bool) -> tuple[int, int]:
 
 
 @compiled
-def _reach_of_middle(tree: Tree, leaf: int, middle: int, k: int, room: Room) -> float:
-    """Return the squared distance of the k-th neighbour of the point in the middle of a leaf.
-
-    It lies within the farthest of the k points around it in the order of the tree.
-    """
-    x, y, z = tree.x[middle], tree.y[middle], tree.z[middle]
+def _bound_around(tree: Tree, middle: int, k: int) -> float:
+    """Bound the squared distance of a point's k-th neighbour by the k around it in the tree."""
     begin = max(0, min(middle - k // 2, tree.rows.size - k))
+    x, y, z = tree.x[middle], tree.y[middle], tree.z[middle]
     bound = 0.0
     for i in range(np.uint64(begin), np.uint64(begin + k)):
         bound = max(bound, point_distance(tree, i, x, y, z))
-    leaves = gather_candidates(tree, leaf, k, bound, room.candidates)
-    if leaves < 0:
-        return _search_around(tree, middle, k, room)
-    found = search_list(tree, x, y, z, k, bound, bound, room.candidates, leaves, room.nearest)
-    return keep_nearest(room.nearest, found, k, tree.rows)
+    return bound
 
 
 @compiled
@@ -169,20 +189,44 @@ def _search_around(tree: Tree, i: int, k: int, room: Room) -> float:
     The walk begins with the k points around it in the order of the tree.
     """
     x, y, z = tree.x[i], tree.y[i], tree.z[i]
-    search_tree(tree, x, y, z, k, i - k // 2, room.candidates, room.nearest)
-    return room.nearest.distance[0]
+    search_tree(tree, x, y, z, k, i - k // 2, room.candidates, room.pool)
+    for j in range(np.uint64(k)):
+        room.nearest.at[j] = room.pool.at[j]
+    return room.pool.distance[0]
 
 
 @compiled
 def _gather_around(
-    tree: Tree, leaf: int, middle: int, k: int, squared_reach: float, candidates: Candidates
-) -> int:
-    """List the candidates of a leaf from the reach of the point in its middle."""
+    tree: Tree,
+    middle: int,
+    begin: int,
+    end: int,
+    k: int,
+    squared_reach: float,
+    candidates: Candidates,
+) -> tuple[int, float]:
+    """Take the candidates of some points, from the reach of the one in their middle.
+
+    Returns
+    -------
+    leaves : int
+        How many candidate leaves there are; -1 where they do not fit.
+    scale : float
+        Scale of their copy, which is relative to the point in the middle.
+    """
+    x, y, z = tree.x[middle], tree.y[middle], tree.z[middle]
     farthest = 0.0
-    for i in range(leaf * LEAF_SIZE, min((leaf + 1) * LEAF_SIZE, tree.rows.size)):
-        away = point_distance(tree, i, tree.x[middle], tree.y[middle], tree.z[middle])
-        farthest = max(farthest, away)
-    return gather_candidates(tree, leaf, k, bound_from(squared_reach, farthest), candidates)
+    low_x, low_y, low_z = high_x, high_y, high_z = x, y, z
+    for i in range(np.uint64(begin), np.uint64(end)):
+        farthest = max(farthest, point_distance(tree, i, x, y, z))
+        low_x, high_x = min(low_x, tree.x[i]), max(high_x, tree.x[i])
+        low_y, high_y = min(low_y, tree.y[i]), max(high_y, tree.y[i])
+        low_z, high_z = min(low_z, tree.z[i]), max(high_z, tree.z[i])
+    low, high = (low_x, low_y, low_z), (high_x, high_y, high_z)
+    leaves = gather_candidates(tree, low, high, k, bound_from(squared_reach, farthest), candidates)
+    if leaves < 0:
+        return leaves, 1.0
+    return leaves, copy_candidates(tree, (x, y, z), leaves, candidates)
 
 
 @inlined
@@ -230,8 +274,9 @@ def _is_among(points: Neighbourhood, begin: np.uint64, last: np.uint64) -> bool:
 
 
 @compiled
-def _any_query(tree: Tree, queries: NDArray[np.bool_], begin: int, end: int) -> bool:
-    for i in range(begin, end):  # noqa: SIM110 (compiled code has no generators)
-        if queries[np.uint64(tree.order[i])]:
-            return True
-    return False
+def _count_queries(tree: Tree, queries: NDArray[np.bool_], begin: int, end: int) -> int:
+    """Count the queries of a leaf; this also fetches their flags from memory, all at once."""
+    count = 0
+    for i in range(np.uint64(begin), np.uint64(end)):
+        count += queries[np.uint64(tree.order[i])]
+    return count

@@ -89,12 +89,17 @@ def box_to_point(boxes: NDArray[np.float64], node: int, x: float, y: float, z: f
 
 
 @inlined
-def box_to_box(boxes: NDArray[np.float64], node: int, other: int) -> float:
-    """Return the squared distance of the boxes of two nodes."""
-    i, j = np.uint64(node), np.uint64(other)
-    dx = max(boxes[i, 0] - boxes[j, 3], boxes[j, 0] - boxes[i, 3], 0.0)
-    dy = max(boxes[i, 1] - boxes[j, 4], boxes[j, 1] - boxes[i, 4], 0.0)
-    dz = max(boxes[i, 2] - boxes[j, 5], boxes[j, 2] - boxes[i, 5], 0.0)
+def box_to_box(
+    boxes: NDArray[np.float64],
+    node: int,
+    low: tuple[float, float, float],
+    high: tuple[float, float, float],
+) -> float:
+    """Return the squared distance of a node's box from another."""
+    i = np.uint64(node)
+    dx = max(boxes[i, 0] - high[0], low[0] - boxes[i, 3], 0.0)
+    dy = max(boxes[i, 1] - high[1], low[1] - boxes[i, 4], 0.0)
+    dz = max(boxes[i, 2] - high[2], low[2] - boxes[i, 5], 0.0)
     return (dx * dx + dy * dy) + dz * dz
 
 

@@ -176,35 +176,6 @@ def turns(
 
 
 @intrinsic
-def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
-    """Count the values up to and including a limit, among the first ones.
-
-    Parameters
-    ----------
-    values : float array
-    size : uint64
-        How many, as many as fill whole vectors.
-    limit : float
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        loop = VectorLoop(context, builder, signature.args[0])
-        data = loop.data(arguments[0])
-        limit = loop.same(arguments[2])
-        counted = cgutils.alloca_once_value(builder, INDEX(0))
-
-        def body(index: Any) -> None:
-            beyond = loop.count(limit < loop.load(data, index))
-            more = builder.sub(INDEX(loop.lanes), beyond)
-            builder.store(builder.add(builder.load(counted), more), counted)
-
-        loop.run(arguments[1], body)
-        return builder.load(counted)
-
-    return types.int64(values, size, limit), generate
-
-
-@intrinsic
 def rank_all(context: Any, values: Any, size: Any, ranks: Any) -> Any:
     """Count for each of the first values how many of them are smaller.
 
@@ -289,43 +260,6 @@ def lowest_place(context: Any, places: Any) -> Any:
         return builder.cttz(arguments[0], ir.IntType(1)(1))
 
     return types.uint64(types.uint64), generate
-
-
-@intrinsic
-def box_distances(context: Any, boxes: Any, size: Any, place: Any, result: Any) -> Any:
-    """Compute the squared distances of boxes from a place.
-
-    Parameters
-    ----------
-    boxes : tuple of six float arrays
-        Lowest x, y, z and highest x, y, z, as long as whole vectors.
-    size : uint64
-        How many.
-    place : tuple of three floats
-    result : float array
-        As long; overwritten.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        loop = VectorLoop(context, builder, signature.args[3])
-        sides = [loop.data(array) for array in cgutils.unpack_tuple(builder, arguments[0])]
-        place = [loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[2])]
-        result = loop.data(arguments[3])
-        nothing = loop.constant(0.0)
-
-        def body(index: Any) -> None:
-            squares = []
-            for low, value, high in zip(sides[:3], place, sides[3:], strict=True):
-                below, above = loop.load(low, index) - value, value - loop.load(high, index)
-                outside = above.where(below < above, below)
-                gap = outside.where(nothing < outside, nothing)
-                squares.append(gap * gap)
-            loop.store((squares[0] + squares[1]) + squares[2], result, index)
-
-        loop.run(arguments[1], body)
-        return context.get_dummy_value()
-
-    return types.void(boxes, size, place, result), generate
 
 
 @intrinsic

@@ -2,7 +2,7 @@
 
 from dynahull.kernels.candidates import Candidates
 from dynahull.kernels.compiled import compiled
-from dynahull.kernels.nearest import Nearest, heapify, offer
+from dynahull.kernels.nearest import Pool, heapify, offer
 from dynahull.kernels.tree import (
     LEAF_SIZE,
     Tree,
@@ -22,7 +22,7 @@ def search_tree(
     k: int,
     start: int,
     candidates: Candidates,
-    nearest: Nearest,
+    pool: Pool,
 ) -> int:
     """Find the k nearest points of a query by walking the tree, nearer boxes first.
 
@@ -30,16 +30,16 @@ def search_tree(
     """
     begin = max(0, min(start, tree.rows.size - k))
     for i in range(k):
-        nearest.distance[i] = point_distance(tree, begin + i, x, y, z)
-        nearest.at[i] = begin + i
-    heapify(nearest, k, tree.rows)
+        pool.distance[i] = point_distance(tree, begin + i, x, y, z)
+        pool.at[i] = begin + i
+    heapify(pool, k, tree.rows)
     stack, gap = candidates.stack, candidates.stack_gap
     stack[0, 0], stack[0, 1], stack[0, 2], gap[0] = 0, 0, leaf_count(tree.rows.size), 0.0
     depth = 1
     while depth > 0:
         depth -= 1
         node, first, leaves = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-        if gap[depth] > nearest.distance[0]:
+        if gap[depth] > pool.distance[0]:
             continue
         if leaves > 1 and not is_one_place(tree.boxes, node):
             left = (leaves + 1) // 2
@@ -59,6 +59,6 @@ def search_tree(
             end = min(end, first_point + k)
         for i in range(first_point, end):
             distance = point_distance(tree, i, x, y, z)
-            if distance <= nearest.distance[0] and not begin <= i < begin + k:
-                offer(nearest, k, distance, i, tree.rows)
+            if distance <= pool.distance[0] and not begin <= i < begin + k:
+                offer(pool, k, distance, i, tree.rows)
     return k

@@ -24,6 +24,16 @@ def surface(seed: int, count: int, step: float = 0.0) -> Points:
     return np.round(points / step) * step if step else points
 
 
+def sphere(seed: int, count: int) -> Points:
+    """Points as far from the first, but for less than single precision can tell."""
+    random = np.random.default_rng(seed)
+    points = random.normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points *= 1 + random.normal(scale=1e-12, size=(count, 1))
+    points[0] = 0.0
+    return points
+
+
 SHAPES = {
     "surface": lambda: surface(0, 900),
     "quantised": lambda: surface(1, 900, 0.5),
@@ -34,6 +44,7 @@ SHAPES = {
     "outliers": lambda: np.vstack([surface(4, 600), surface(5, 40) * 1e4]),
     "utm": lambda: surface(6, 600) + UTM,
     "few": lambda: surface(7, 20),
+    "sphere": lambda: sphere(8, 400),
 }
 
 
@@ -44,6 +55,13 @@ def test_neighbours_are_those_of_the_plain_version(shape: str, k: int) -> None:
     rows = np.random.default_rng(9).permutation(10 * len(points))[: len(points)]
     expected = rows[nearest_neighbours(points, rows, k)]
     assert np.array_equal(nearest_rows(points, rows, k), expected)
+
+
+@pytest.mark.parametrize("exponent", [-470, 470])
+def test_neighbours_do_not_depend_on_the_unit(exponent: int) -> None:
+    points, rows = surface(10, 900), np.arange(900)
+    scaled = nearest_rows(np.ldexp(points, exponent), rows, 75)
+    assert np.array_equal(scaled, nearest_rows(points, rows, 75))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
