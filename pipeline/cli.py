@@ -18,6 +18,7 @@ from pipeline.cluster.commands import (
 )
 from pipeline.evaluation.command import evaluate_command
 from pipeline.options import ConfigurationSource, Maps, Output, Settings
+from pipeline.preview_command import preview_command
 from pipeline.tiles.commands import (
     clean_command,
     plan_command,
@@ -217,6 +218,7 @@ app.command("clean")(clean_command)
 app.command("submit")(submit_command)
 app.command("cancel")(cancel_command)
 app.command("evaluate")(evaluate_command)
+app.command("preview")(preview_command)
 
 
 def main() -> NoReturn:

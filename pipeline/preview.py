@@ -1,0 +1,309 @@
+"""A part of a map cleaned in seconds, to choose parameters by: `dynahull-pipeline preview`.
+
+The part is a map of its own, in the format of the whole, and cleaned by an ordinary run.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.configuration import Configuration
+from pipeline.errors import ConfigurationError
+from pipeline.machine import available_cores
+from pipeline.outputs import default_folder
+from pipeline.progress import StageObserver
+from pipeline.report import RunReport
+from pipeline.run import run
+from tiling.atomic import atomic_file
+from tiling.formats.base import PointBatch
+from tiling.formats.collection import MapCollection, find_map_files
+from tiling.occupancy import Occupancy
+from tiling.survey import Survey, survey_batches
+
+SMALLEST_SIDE = 4.0
+"""Metres: a window that is chosen is no narrower, and thinned where it holds too many points."""
+
+_TYPICAL = 0.5
+"""Share of a map's points that lie in squares of the size of a typical one, or in larger ones."""
+
+_FILLED = 0.85
+"""Of the points wanted, in a window that is chosen: its points are estimated from a few."""
+
+_LOOKED_AT = 2_000_000
+"""Points of a large map that a window is chosen by."""
+
+_LOOKS = 100
+"""Places of the file that they are read from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle, seen from above: low <= x, y < high, metres.
+
+    Attributes
+    ----------
+    low, high : tuple of float
+        x and y.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which points lie in it."""
+        flat = xyz[:, :2]
+        return np.asarray(((flat >= self.low) & (flat < self.high)).all(axis=1))
+
+    def __str__(self) -> str:
+        (left, bottom), (right, top) = self.low, self.high
+        return f"x from {left:,.2f} to {right:,.2f} m, y from {bottom:,.2f} to {top:,.2f} m"
+
+
+WHOLE = Window((-np.inf, -np.inf), (np.inf, np.inf))
+
+
+def preview(
+    maps: Sequence[str],
+    output: Path | None,
+    configuration: Configuration,
+    observer: StageObserver,
+    *,
+    points: int,
+    window: Window | None = None,
+) -> RunReport:
+    """Clean a part of a map, and write its report.
+
+    Parameters
+    ----------
+    maps : sequence of str
+        Files, folders or globs that together are one map.
+    output : Path or None
+        `<map>_preview` in the current folder by default.
+    configuration : Configuration
+        As for the whole map.
+    observer : StageObserver
+        Warned of what the part is.
+    points : int
+        Points of the part, at most; of more every n-th is taken.
+    window : Window or None
+        Where; None for a typical place. A map of few points is taken as a whole.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is no point in the window.
+    TilingError, DynaHullError, PipelineError
+        As for `run`.
+    """
+    paths = find_map_files(maps)
+    collection = MapCollection(paths, threads=available_cores(configuration.execution.workers))
+    folder = output or _preview_folder(paths)
+    values = configuration.model_dump()
+    values["output"]["report"] = "html"
+    configuration = Configuration.model_validate(values)
+    if window is None and collection.point_count <= points:
+        return run(list(paths), folder, configuration, observer)
+    if window is None:
+        window = _choose_window(collection, points, observer)
+    part = _Part(points)
+    observer.stage("selecting", collection.point_count)
+    for file, batch in collection.batches():
+        part.add(file, batch, window)
+        observer.advance(len(batch.xyz))
+    kept = part.finish()
+    if not kept:
+        raise ConfigurationError(f"{collection.name}: no point in the window, {window}")
+    files = _write_part(collection, kept, folder)
+    observer.warn(_description(part, window, collection))
+    return run(files, folder, configuration, observer)
+
+
+def typical_window(occupancy: Occupancy, scale: float, points: int) -> Window:
+    """Find a square that is worth looking at: no sparse edge, and no place where all was seen from.
+
+    Squares are as large as they may be for half of the map to lie in such that do not have too
+    many points; of these the fullest is taken.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        Of the map, or of some of its points.
+    scale : float
+        Points of the map for each one in the occupancy.
+    points : int
+        That the square should have at most. It has more where even squares of `SMALLEST_SIDE` do.
+    """
+    if not len(occupancy.counts):
+        return WHOLE
+    half = 1 << max(0, int(np.ceil(np.log2(SMALLEST_SIDE / 2 / occupancy.cell))))
+    columns, counts = _together(occupancy.columns // half, occupancy.counts)
+    cell, side = occupancy.cell * half, 2
+    found = None
+    while True:
+        low, held = _squares(columns, counts, side)
+        small = held * scale <= points
+        fits = held[small].sum() >= _TYPICAL * held.sum()
+        if found is not None and not fits:
+            return found
+        # Where even the smallest squares have too many points, one in the middle is thinned.
+        chosen = int(np.argmax(np.where(small, held, -1))) if fits else _median(held)
+        left, bottom = (low[chosen] * cell).tolist()
+        found = Window((left, bottom), (left + side * cell, bottom + side * cell))
+        if not fits or held[chosen] == counts.sum():
+            return found
+        side *= 2
+
+
+def _median(held: NDArray[np.int64]) -> int:
+    """Return the square that half of the points lie in less full ones than."""
+    order = np.argsort(held, kind="stable")
+    below = np.cumsum(held[order])
+    return int(order[np.searchsorted(below, below[-1] / 2)])
+
+
+def _squares(
+    columns: NDArray[np.int64], counts: NDArray[np.int64], side: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return low corners and points of the squares of `side` columns that hold any.
+
+    They are on four lattices, half a side apart.
+    """
+    corners, held = [], []
+    for shift in ((x, y) for x in (0, side // 2) for y in (0, side // 2)):
+        squares, points = _together((columns + shift) // side, counts)
+        corners.append(squares * side - shift)
+        held.append(points)
+    return np.concatenate(corners), np.concatenate(held)
+
+
+def _together(
+    columns: NDArray[np.int64], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Add up the counts of equal columns."""
+    low = columns.min(axis=0)
+    height = int(columns[:, 1].max() - low[1]) + 1
+    keys = (columns[:, 0] - low[0]) * height + columns[:, 1] - low[1]
+    distinct, inverse = np.unique(keys, return_inverse=True)
+    places = np.column_stack([distinct // height, distinct % height]) + low
+    return places, np.bincount(inverse, counts).astype(np.int64)
+
+
+def _choose_window(collection: MapCollection, points: int, observer: StageObserver) -> Window:
+    survey = _look_at(collection, observer)
+    scale = collection.point_count / max(survey.point_count, 1)
+    return typical_window(survey.occupancy, scale, round(_FILLED * points))
+
+
+def _look_at(collection: MapCollection, observer: StageObserver) -> Survey:
+    """Survey a map, or some places of one that is large and can be read anywhere."""
+    total = collection.point_count
+    seekable = all(reader.seekable for reader in collection.readers)
+    ranges = [range(total)]
+    if seekable and total > 2 * _LOOKED_AT:
+        starts = [total * look // _LOOKS for look in range(_LOOKS)]
+        ranges = [range(start, start + _LOOKED_AT // _LOOKS) for start in starts]
+    observer.stage("looking", sum(len(rows) for rows in ranges))
+    return survey_batches(_batches(collection, ranges, observer))
+
+
+def _batches(
+    collection: MapCollection, ranges: Iterable[range], observer: StageObserver
+) -> Iterable[PointBatch]:
+    for rows in ranges:
+        for _, batch in collection.batches(rows=rows):
+            yield batch
+            observer.advance(len(batch.xyz))
+
+
+class _Part:
+    """Gathers the points of a window; every n-th by row number where there are too many.
+
+    Each row has a rank, and those below a limit are held. The limit is halved as often as twice
+    the points wanted are held, so that the points in the end do not depend on how they came.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.inside = 0
+        self.count = 0
+        self._most = most
+        self._limit = 1.0
+        self._held: list[tuple[int, PointBatch, NDArray[np.float64]]] = []
+
+    def add(self, file: int, batch: PointBatch, window: Window) -> None:
+        """Take what lies in the window."""
+        inside = window.holds(batch.xyz) & np.isfinite(batch.xyz).all(axis=1)
+        self.inside += int(np.count_nonzero(inside))
+        ranks = _ranks(batch.first_row, len(batch.xyz))
+        chosen = inside & (ranks < self._limit)
+        if chosen.any():
+            self._held.append((file, _selected(batch, chosen), ranks[chosen]))
+            self.count += int(np.count_nonzero(chosen))
+        while self.count > 2 * self._most:
+            self._keep_below(self._limit / 2)
+
+    def finish(self) -> dict[int, list[PointBatch]]:
+        """Return the batches of each file, in order."""
+        if self.count > self._most:
+            ranks = np.concatenate([ranks for _, _, ranks in self._held])
+            self._keep_below(float(np.partition(ranks, self._most)[self._most]))
+        files: dict[int, list[PointBatch]] = {}
+        for file, batch, _ in self._held:
+            files.setdefault(file, []).append(batch)
+        return files
+
+    def _keep_below(self, limit: float) -> None:
+        self._limit, held, self.count = limit, self._held, 0
+        self._held = []
+        for file, batch, ranks in held:
+            chosen = ranks < limit
+            if chosen.any():
+                self._held.append((file, _selected(batch, chosen), ranks[chosen]))
+                self.count += int(np.count_nonzero(chosen))
+
+
+def _selected(batch: PointBatch, chosen: NDArray[np.bool_]) -> PointBatch:
+    return replace(batch, xyz=batch.xyz[chosen], records=batch.select(chosen), classification=None)
+
+
+def _ranks(first_row: int, count: int) -> NDArray[np.float64]:
+    """Return numbers in [0, 1) for consecutive rows, as evenly spread as the golden ratio makes."""
+    rows = np.arange(first_row, first_row + count, dtype=np.uint64)
+    return np.asarray((rows * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(11)) * 2.0**-53)
+
+
+def _write_part(
+    collection: MapCollection, kept: dict[int, list[PointBatch]], folder: Path
+) -> list[Path]:
+    """Write the part as maps like those it comes from, into the output folder."""
+    files = []
+    for file, batches in kept.items():
+        said = collection.readers[file].description
+        number = f"{file + 1}_" if len(collection.readers) > 1 else ""
+        path = folder / f"part_{number}{said.path.stem}{said.suffix}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        count = sum(len(batch.xyz) for batch in batches)
+        reader = collection.readers[file]
+        with atomic_file(path) as temporary, reader.writer(temporary, count) as writer:
+            for batch in batches:
+                writer.write(batch.records)
+        files.append(path)
+    return files
+
+
+def _preview_folder(paths: Sequence[Path]) -> Path:
+    return Path(default_folder(paths).name.removesuffix("_dynahull") + "_preview")
+
+
+def _description(part: _Part, window: Window, collection: MapCollection) -> str:
+    """Say what was cleaned, and what of it does not hold for the whole map."""
+    where = "the whole map" if window == WHOLE else f"the window {window}"
+    thinned = ""
+    if part.count < part.inside:
+        thinned = f", thinned from {part.inside:,}, so that densities are lower than the map's"
+    return (
+        f"preview of {collection.name}: {part.count:,} of its {collection.point_count:,} points, "
+        f"{where}{thinned}; clusters, and with them R_i, are those of this part"
+    )
