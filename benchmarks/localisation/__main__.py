@@ -63,7 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _errors_by_map(seed: int, settings: Sequence[str], picture: Path | None) -> dict[str, Errors]:
     parameters = load_parameters(SimulationParameters, None, [*SETTINGS, *settings, f"seed={seed}"])
     maps, drive = maps_of(parameters), second_drive(parameters)
-    found = {name: localise(points, drive.scans, drive.poses[0]) for name, points in maps.items()}
+    found = {
+        name: localise(points, drive.scans, drive.moves, drive.poses[0])
+        for name, points in maps.items()
+    }
     if picture is not None:
         draw(picture, maps[TRUE], drive.poses, found)
     return {name: errors_of(poses, drive.poses) for name, poses in found.items()}

@@ -5,12 +5,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from dynahull import clean
 from pipeline.configuration import load_configuration
 from pipeline.simulation import SimulationParameters, simulate_scans
 
-__all__ = ["CLEANED_WITH", "NOT_CLEANED", "TRUE", "SecondDrive", "maps_of", "second_drive"]
+__all__ = [
+    "CLEANED_WITH",
+    "NOT_CLEANED",
+    "TRUE",
+    "SecondDrive",
+    "maps_of",
+    "odometry",
+    "second_drive",
+]
 
 Floats = NDArray[np.float64]
 
@@ -18,6 +27,9 @@ TRUE, NOT_CLEANED = "true map", "not cleaned"
 
 CLEANED_WITH = ("paper", "indoor")
 """Ready configurations."""
+
+SLIP, TURN_ERROR = 0.05, 0.05
+"""Standard deviations of the odometry's errors, of the way and of the angle between two scans."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +42,13 @@ class SecondDrive:
         In the sensor's frame, metres.
     poses : (S, 4, 4) float64 array
         Where the sensor truly was, in the map's frame.
+    moves : (S - 1, 4, 4) float64 array
+        What the wheels tell of the motion from each scan to the next: the truth, with errors.
     """
 
     scans: list[Floats]
     poses: Floats
+    moves: Floats
 
 
 def maps_of(parameters: SimulationParameters) -> Mapping[str, Floats]:
@@ -59,4 +74,16 @@ def second_drive(parameters: SimulationParameters) -> SecondDrive:
     scans = list(simulate_scans(another))
     poses = np.tile(np.eye(4), (len(scans), 1, 1))
     poses[:, :3] = [scan.true_pose for scan in scans]
-    return SecondDrive([scan.in_sensor_frame() for scan in scans], poses)
+    random = np.random.default_rng(np.random.SeedSequence((another.seed, another.drive)))
+    moves = odometry(np.linalg.inv(poses[:-1]) @ poses[1:], random)
+    return SecondDrive([scan.in_sensor_frame() for scan in scans], poses, moves)
+
+
+def odometry(moves: Floats, random: np.random.Generator) -> Floats:
+    """Return motions, (n, 4, 4), as wheels would tell them: too long or short, turned too far."""
+    told = moves.copy()
+    told[:, :3, 3] *= 1 + random.normal(0, SLIP, (len(moves), 1))
+    turns = Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()
+    turns *= 1 + random.normal(0, TURN_ERROR, (len(moves), 1))
+    told[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+    return told

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     maps = [labelled_map([*options.set, f"seed={seed}"]) for seed in options.seeds]
     distances = np.array([list(over_clusters(made, CLUSTERS)) for made in maps])
-    _print(("clusters", "mean, mm", "variance, mm²"), distances.mean(axis=0))
+    _print(("clusters", "mean, mm", "variance, mm²", "removed, %"), distances.mean(axis=0))
     ranges = np.array([list(over_ranges(made, RANGES)) for made in maps])
     _print(("smallest, %", "largest, %", "SA, %", "DA, %"), ranges.mean(axis=0))
     times = np.array(list(over_neighbours(maps[0], NEIGHBOURS)))

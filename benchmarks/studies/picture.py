@@ -20,8 +20,8 @@ def draw(path: Path, times: Floats, distances: Floats, ranges: Floats) -> None:
         SVG or PNG.
     times : (n, 2) float64 array
         k; microseconds a point.
-    distances : (seeds, m, 3) float64 array
-        Clusters; mean, mm; variance, mm².
+    distances : (seeds, m, 4) float64 array
+        Clusters; mean, mm; variance, mm²; removed, percent.
     ranges : (seeds, r, 4) float64 array
         Bounds of Eq. 1, percent; SA and DA, percent.
     """

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -47,8 +48,24 @@ def test_scans_are_found_where_they_were_taken():
     truth = poses_along(np.linspace(2, 4, 9))
     truth[:, 1:3, 3] = [3, 1]
     scans = [random.permutation(room)[:8_000] - pose[:3, 3] for pose in truth]
-    found = localise(room, scans, truth[0])
+    moves = np.linalg.inv(truth[:-1]) @ truth[1:]
+    moves[:, 1, 3] += 0.05  # what the wheels tell is wrong by a fifth, and sideways
+    found = localise(room, scans, moves, truth[0])
     assert np.abs(found - truth).max() < 0.02
+
+
+def test_odometry_is_wrong_by_a_share_of_the_motion():
+    from benchmarks.localisation.maps import SLIP, TURN_ERROR, odometry  # noqa: PLC0415
+
+    still, on, turn = (np.eye(4) for _ in range(3))
+    on[0, 3] = 2.0
+    turn[:3, :3] = Rotation.from_rotvec([0, 0, 0.5]).as_matrix()
+    moves = np.repeat([still, on, turn], 2000, axis=0)
+    told = odometry(moves, np.random.default_rng(0))
+    assert told[:2000] == pytest.approx(moves[:2000], abs=1e-12)
+    assert told[2000:4000, 0, 3].std() == pytest.approx(2 * SLIP, rel=0.1)
+    turned = Rotation.from_matrix(told[4000:, :3, :3]).as_rotvec()[:, 2]
+    assert turned.std() == pytest.approx(0.5 * TURN_ERROR, rel=0.1)
 
 
 def test_a_table_tells_means_and_extremes():
