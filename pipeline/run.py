@@ -7,7 +7,6 @@ into tiles, whose work is shared out to workers and kept until all of it is done
 
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -52,7 +51,14 @@ from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
 from pipeline.tiles.stages import do_stage
 from pipeline.tiles.work import WORK_FOLDER, remove_work
-from pipeline.tiles.writing import BATCH, check_written, finish_parts, plan_parts, write_stream
+from pipeline.tiles.writing import (
+    BATCH,
+    GROWING,
+    check_written,
+    finish_parts,
+    plan_parts,
+    write_stream,
+)
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 
 
@@ -379,10 +385,14 @@ def write_maps(
     in_parts = []
     if job is not None and executor is not None:
         in_parts = [index for index, each in enumerate(collection.readers) if each.writes_parts]
-        shutil.rmtree(job.root / "write", ignore_errors=True)
-        plan = plan_parts(job, in_parts, outputs)
+        # They grow in the work folder, where a run that goes on finds what is done of them.
+        growing = [tuple(job.root / GROWING / name for name in each) for each in names.by_file]
+        plan = plan_parts(job, in_parts, growing)
         exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
         finish_parts(job, plan)
+        for index in in_parts:
+            for grown, place in zip(growing[index], outputs[index], strict=True):
+                grown.replace(place)
     streams = [index for index in range(len(outputs)) if index not in set(in_parts)]
     first_rows = [*collection.first_rows, collection.point_count]
     observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))

@@ -5,6 +5,7 @@ of rows; the others by one process, as a stream.
 """
 
 import pickle
+import shutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,11 +18,14 @@ from pipeline.output_modes import OutputMode, mode_of
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
+from tiling.atomic import atomic_file
 from tiling.formats import MapReader, open_map
 from tiling.formats.parts import PartSummary, PartWriter
 
 BATCH = 500_000
 PARTS_FILE = "parts.pickle"
+GROWING = "outputs"
+"""Within the work folder: outputs that are being written in parts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +56,13 @@ class OutputPlan:
     writers : dict of int to tuple of PartWriter
         Of each input file, for its outputs.
     parts : tuple of OutputPart
+    mode : str
+        The configuration that decides what goes where.
     """
 
     writers: dict[int, tuple[PartWriter, ...]]
     parts: tuple[OutputPart, ...]
+    mode: str
 
 
 def write_stream(mode: OutputMode, outputs: Sequence[Path], advance: Callable[[int], None]) -> None:
@@ -101,6 +108,8 @@ def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
 def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]) -> OutputPlan:
     """Create the outputs of some files, to be written in parts, and keep the plan.
 
+    Where an earlier run left them, and the same is wanted, its parts are gone on with.
+
     Parameters
     ----------
     job : Job
@@ -110,6 +119,12 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
     outputs : sequence of sequence of Path
         Of every file of the map.
     """
+    mode_wanted = job.configuration.output.model_dump_json()
+    earlier = _earlier_plan(job)
+    if earlier is not None and earlier.mode == mode_wanted:
+        return earlier
+    _parts_path(job).unlink(missing_ok=True)
+    shutil.rmtree(job.root / "write", ignore_errors=True)
     writers: dict[int, tuple[PartWriter, ...]] = {}
     parts = []
     for file in files:
@@ -125,11 +140,24 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
             for each, path, points in zip(mode.formats, outputs[file], firsts, strict=True)
         )
         for writer in writers[file]:
+            writer.path.parent.mkdir(parents=True, exist_ok=True)
             writer.create()
-    plan = OutputPlan(writers, tuple(parts))
+    plan = OutputPlan(writers, tuple(parts), mode_wanted)
     job.work.make("write")
-    _parts_path(job).write_bytes(pickle.dumps(plan))
+    # Last, as a plan tells that its outputs were created.
+    with atomic_file(_parts_path(job)) as temporary:
+        temporary.write_bytes(pickle.dumps(plan))
     return plan
+
+
+def _earlier_plan(job: Job) -> OutputPlan | None:
+    """Return the plan of a run that did not come to its end, if all its outputs are still there."""
+    try:
+        plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
+    except FileNotFoundError:
+        return None
+    paths = [writer.path for writers in plan.writers.values() for writer in writers]
+    return plan if all(path.is_file() for path in paths) else None
 
 
 def write_part(job: Job, number: int) -> TaskReport:
@@ -145,9 +173,10 @@ def write_part(job: Job, number: int) -> TaskReport:
         for batch in mode.reader.batches(BATCH, part.rows):
             for output, records in zip(outputs, mode.records(batch), strict=True):
                 output.write(records)
-    job.work.path("write", number, ".pickle").write_bytes(
-        pickle.dumps([output.summary for output in outputs])
-    )
+        for output in outputs:
+            output.flush()
+    with atomic_file(job.work.path("write", number, ".pickle")) as temporary:
+        temporary.write_bytes(pickle.dumps([output.summary for output in outputs]))
     return TaskReport(len(part.rows))
 
 

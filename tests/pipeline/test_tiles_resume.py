@@ -305,6 +305,43 @@ def test_a_map_that_cannot_be_read_any_more_is_bad_input(map_file, tmp_path, mon
         cleaned(map_file, tmp_path / "out")
 
 
+@pytest.fixture
+def half_written(map_file, tmp_path, monkeypatch):
+    """An output folder with the work of a run that failed in the second of its output's parts."""
+    monkeypatch.setattr("pipeline.tiles.writing.BATCH", 100)
+    fault = Fault(monkeypatch, "write", 1, OSError(5, "Input/output error"))
+    with pytest.raises(TasksFailedError):
+        cleaned(map_file, tmp_path / "out")
+    fault.error = None
+    return tmp_path / "out"
+
+
+def test_parts_of_the_outputs_that_are_written_are_not_written_again(
+    map_file, half_written, expected, done_tasks
+):
+    cleaned(map_file, half_written)
+    assert [task for task in done_tasks if task[0] == "write"] == [("write", 1)]
+    assert results(half_written) == expected
+
+
+def test_parts_are_written_again_where_the_outputs_are_gone(
+    map_file, half_written, expected, done_tasks
+):
+    # As after a kill between the moving of the outputs and their publication.
+    (half_written / WORK / "outputs/static.npy").unlink()
+    cleaned(map_file, half_written)
+    assert {number for stage, number in done_tasks if stage == "write"} == {0, 1, 2, 3}
+    assert results(half_written) == expected
+
+
+def test_parts_of_other_outputs_are_not_gone_on_with(map_file, half_written, tmp_path, done_tasks):
+    wanted = "output.classes.dynamic=12"
+    cleaned(map_file, half_written, wanted)
+    assert {number for stage, number in done_tasks if stage == "write"} == {0, 1, 2, 3}
+    cleaned(map_file, tmp_path / "fresh", wanted)
+    assert results(half_written) == results(tmp_path / "fresh")
+
+
 def test_fresh_starts_over_without_a_warning(map_file, interrupted, expected, done_tasks):
     before = markers(interrupted)
     report = cleaned(map_file, interrupted, "output.keep_work=true", fresh=True)

@@ -5,6 +5,7 @@ how many points come before it. The bytes are those that one process writes, sin
 writes a single part.
 """
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -151,6 +152,11 @@ class MapPart:
             )
         self._writer.put(self._file, row, records)
         self.summary.add(records)
+
+    def flush(self) -> None:
+        """Wait until what was written is on the disk."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file."""
