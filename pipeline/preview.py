@@ -35,8 +35,8 @@ _FILLED = 0.85
 _LOOKED_AT = 2_000_000
 """Points of a large map that a window is chosen by."""
 
-_LOOKS = 100
-"""Places of the file that they are read from."""
+_LOOKS = 2_000
+"""Places of the file that they are read from: near in a file is often near in the map."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.progress import SilentObserver
 from pipeline.borders import FreePoints, Region
+from pipeline.report_page.sample import is_sampled
 from pipeline.tiles.division import divided
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
@@ -22,13 +23,15 @@ from tiling.layout import Layout
 LABEL_NAMES = ("core_rows", "core_labels")
 FREE_NAMES = ("xyz", "rows", "core")
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
+SHOWN_NAMES = ("shown_xyz", "shown_rows")
 
 
 def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
     """Label the ground of a tile's core, and keep the ground-free points of its region.
 
-    Kept as well are those of its points that the clusters are fitted on. Where the memory does not
-    suffice for the tile, `sides` x `sides` parts of it are done one after the other.
+    Kept as well are those of its points that the clusters are fitted on, and those that the report
+    shows. Where the memory does not suffice for the tile, `sides` x `sides` parts of it are done
+    one after the other.
     """
     chunk = _surroundings(job, tile)
     boxes = divided(region_of(job, tile), chunk.xyz, sides)
@@ -55,6 +58,10 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         "sample_xyz": own.xyz[sample],
         "sample_rows": own.rows[sample],
     }
+    if job.configuration.output.report == "html":
+        shown = np.flatnonzero(decided.core)
+        shown = shown[is_sampled(core_rows, job.collection.point_count)]
+        arrays |= {"shown_xyz": decided.xyz[shown], "shown_rows": decided.rows[shown]}
     job.work.save("ground", tile, **arrays)
     return TaskReport(core_count, (len(own),))
 

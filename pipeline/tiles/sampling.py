@@ -5,11 +5,11 @@ import numpy as np
 from dynahull.result import NO_CLUSTER
 from pipeline.report_page.sample import ARRAY_NAMES, MapSample, is_sampled
 from pipeline.report_page.tile_chart import TileWork
+from pipeline.tiles.ground import SHOWN_NAMES
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.scoring import first_cluster, scored_points
 from pipeline.tiles.work import TaskReport
-from tiling.chunks import read_chunk
 
 _STAGES_OF_A_TILE = ("chunk", "ground", "density", "label", "sample")
 
@@ -17,18 +17,16 @@ _STAGES_OF_A_TILE = ("chunk", "ground", "density", "label", "sample")
 def sample_tile(job: Job, tile: int) -> TaskReport:
     """Keep the sampled points of a tile's core, with their labels, clusters and densities."""
     total = job.collection.point_count
-    chunk = read_chunk(job.store, tile)
-    own = chunk.select(chunk.core & is_sampled(chunk.rows, total))
+    xyz, rows = job.work.load("ground", tile, *SHOWN_NAMES)
     scored = scored_points(job, tile)
     wanted = is_sampled(scored.rows, total)
-    cluster = np.full(len(own), NO_CLUSTER, np.int32)
-    density = np.full(len(own), np.nan)
-    # Both are in the order of the rows.
-    place = np.searchsorted(own.rows, scored.rows[wanted])
+    cluster = np.full(len(rows), NO_CLUSTER, np.int32)
+    density = np.full(len(rows), np.nan)
+    place = np.searchsorted(rows, scored.rows[wanted])  # rows are in order
     cluster[place] = scored.cluster[wanted] + first_cluster(job, tile)
     density[place] = scored.density[wanted]
-    labels = open_rows(job.rows_path("label"), np.uint8)[own.rows]
-    sample = MapSample(total, own.rows, own.xyz, labels, cluster, density)
+    labels = open_rows(job.rows_path("label"), np.uint8)[rows]
+    sample = MapSample(total, rows, xyz, labels, cluster, density)
     job.work.save("sample", tile, **sample.to_arrays())
     return TaskReport(int(job.store.layout.counts[tile]))
 
