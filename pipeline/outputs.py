@@ -4,7 +4,6 @@ Files are written into a hidden folder beside their places, flushed to the disk,
 all are complete. `run.json` goes first and comes back last: a folder that has one is whole.
 """
 
-import fcntl
 import json
 import os
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.errors import OutputError
+from pipeline.folder_lock import give_lock, take_lock
 from tiling.formats import MapReader
 
 RUN_FILE = "run.json"
@@ -143,14 +143,11 @@ def _refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[P
 
 
 def folder_is_locked(folder: Path) -> bool:
-    """Tell whether a run is writing into a folder, on this machine."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    """Tell whether a run is writing into a folder, on this machine or, over NFS, on any."""
+    handle = take_lock(folder)
+    if handle is None:
         return True
-    finally:
-        os.close(handle)
+    give_lock(folder, handle)
     return False
 
 
@@ -163,20 +160,18 @@ def locked_folder(folder: Path) -> Iterator[None]:
     OutputError
         When another run holds it.
     """
-    handle = os.open(folder, os.O_RDONLY)
+    handle = take_lock(folder)
+    # Whoever asks whether the folder is locked holds the lock for a moment.
+    for _ in range(2):
+        if handle is None:
+            time.sleep(0.1)
+            handle = take_lock(folder)
+    if handle is None:
+        raise OutputError(f"{folder}: another run is writing into this folder")
     try:
-        # Whoever asks whether the folder is locked holds the lock for a moment.
-        for patience in (0.1, 0.1, 0.0):
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                time.sleep(patience)
-        else:
-            raise OutputError(f"{folder}: another run is writing into this folder")
         yield
     finally:
-        os.close(handle)
+        give_lock(folder, handle)
 
 
 def _publish(staging: Path, folder: Path) -> None:

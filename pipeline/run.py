@@ -217,6 +217,7 @@ def clean_in_tiles(
     observer: StageObserver,
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
+    observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
         result = clean_tiles(
             job,

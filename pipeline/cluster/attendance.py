@@ -198,7 +198,7 @@ class Attendance:
         if present:
             if self._nobody:
                 wanted = self._jobs_wanted
-                logger.info("workers are there: of %d of %d jobs", present, wanted)
+                logger.info("workers are there, of %d of %d jobs", present, wanted)
             self._nobody = False
             self._said = -_SAY_EVERY
             return

@@ -109,8 +109,6 @@ def _output(maps: Sequence[str], output: Path | None) -> Path:
 
 def _refuse_another(folder: Path) -> None:
     """Refuse a folder in which a run is at work, or is going to be."""
-    if folder.is_dir() and folder_is_locked(folder):
-        raise OutputError(f"{folder}: another run is writing into this folder")
     for recorded in (submitted_job(folder), worker_jobs(folder)):
         if recorded is None:
             continue
@@ -120,6 +118,8 @@ def _refuse_another(folder: Path) -> None:
                     f"{folder}: {recorded.system} job {job} is there for this folder "
                     f"({state.word}); cancel it first: dynahull-pipeline cancel {folder}"
                 )
+    if folder.is_dir() and folder_is_locked(folder):
+        raise OutputError(f"{folder}: another run is writing into this folder")
 
 
 def _script(

@@ -131,7 +131,7 @@ def test_an_empty_name_is_no_configuration():
 
 
 def test_a_missing_file_names_the_ready_configurations():
-    with pytest.raises(ConfigurationError, match=r"nowhere.yaml: .* \(indoor, outdoor, paper\)"):
+    with pytest.raises(ConfigurationError, match=r"nowhere.yaml: .*outdoor, paper, slurm\)"):
         load_configuration("nowhere.yaml")
 
 

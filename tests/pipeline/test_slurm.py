@@ -16,14 +16,28 @@ pytestmark = [
     pytest.mark.xdist_group("slurm"),
 ]
 
-# Tasks of a second or more, so that there is something to be lost in the middle of.
 SETTINGS = [
-    "ground.method=none", "density.device=reference", "tiling.max_points=450", "output.labels=true",
+    "ground.method=none", "tiling.max_points=450", "output.labels=true",
     "cluster.interface=lo", "cluster.check_every=1", "cluster.workers=2", "cluster.memory=1GiB",
     "cluster.run.memory=1GiB",
 ]  # fmt: skip
 RESULTS = ("static.npy", "dynamic.npy", "labels.parquet")
 DONE_WITHIN = 120
+
+SLOW = """
+import time
+from pipeline.tiles import stages
+
+def dask_setup(worker):
+    score_tile = stages.TASKS["density"]
+
+    def score_tile_slowly(job, tile):
+        time.sleep(2)
+        return score_tile(job, tile)
+
+    stages.TASKS["density"] = score_tile_slowly
+"""
+"""Loaded by workers: tasks take two seconds, so that there is something to be in the middle of."""
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +52,15 @@ def map_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("map") / "map.npy"
     np.save(path, np.random.default_rng(0).uniform(size=(6_000, 3)) * [40, 30, 2])
     return path
+
+
+@pytest.fixture(scope="module")
+def slowly(tmp_path_factory):
+    """The setting that makes workers slow."""
+    path = tmp_path_factory.mktemp("slow") / "slow.py"
+    path.write_text(SLOW, encoding="utf-8")
+    preload = f"export DASK_DISTRIBUTED__WORKER__PRELOAD={path}"
+    return f"cluster.prologue=[{preload}]"
 
 
 @pytest.fixture(scope="module")
@@ -118,11 +141,11 @@ class Watched:
 
 
 def test_a_run_goes_on_when_a_worker_and_nodes_and_all_of_them_are_lost(
-    slurm, map_file, expected, tmp_path
+    slurm, map_file, expected, slowly, tmp_path
 ):
     folder = tmp_path / "out"
     with Watched(
-        slurm, folder, "run", map_file, "-o", folder, "--cluster", "slurm", *settings()
+        slurm, folder, "run", map_file, "-o", folder, "--cluster", "slurm", *settings(slowly)
     ) as run:
         wait_until(lambda: density_tasks_done(folder) >= 1, 60)
         first = alive(slurm, "dynahull-worker")
@@ -152,10 +175,10 @@ def test_a_run_goes_on_when_a_worker_and_nodes_and_all_of_them_are_lost(
 
 
 def test_a_submitted_run_is_followed_and_cancelled_by_its_folder_and_goes_on_when_submitted_again(
-    slurm, map_file, expected, tmp_path
+    slurm, map_file, expected, slowly, tmp_path
 ):
     folder = tmp_path / "out"
-    submit = ("submit", map_file, "-o", folder, "--cluster", "slurm", *settings())
+    submit = ("submit", map_file, "-o", folder, "--cluster", "slurm", *settings(slowly))
     code, said, errors = command(*submit, slurm=slurm)
     assert (code, errors) == (0, [])
     job = said.split()[3].rstrip(";")

@@ -1,0 +1,73 @@
+"""One run at a time in a folder, by a lock that the system frees however the process ends.
+
+The folder itself is locked where that can be done. On NFS it cannot, and a file in it is locked,
+which keeps out runs on other machines as well; it is there only while the lock is held.
+"""
+
+import errno
+import fcntl
+import logging
+import os
+import stat
+from pathlib import Path
+
+LOCK_FILE = ".dynahull-lock"
+
+logger = logging.getLogger("dynahull")
+
+_NO_LOCK = (errno.EBADF, errno.EINVAL, errno.EISDIR, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
+"""What file systems answer that have no locks on folders, or none at all."""
+
+
+def take_lock(folder: Path) -> int | None:
+    """Take the lock of a folder, None if another run holds it.
+
+    Returns
+    -------
+    int or None
+        What `give_lock` gives back.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(handle)
+        if isinstance(error, BlockingIOError):
+            return None
+        if error.errno not in _NO_LOCK:
+            raise
+        return _take_lock_of_file(folder)
+    return handle
+
+
+def give_lock(folder: Path, handle: int) -> None:
+    """Give a lock back."""
+    if not stat.S_ISDIR(os.fstat(handle).st_mode):
+        (folder / LOCK_FILE).unlink(missing_ok=True)
+    os.close(handle)
+
+
+def _take_lock_of_file(folder: Path) -> int | None:
+    path = folder / LOCK_FILE
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if isinstance(error, BlockingIOError):
+                os.close(handle)
+                return None
+            if error.errno not in _NO_LOCK:
+                os.close(handle)
+                raise
+            logger.warning(
+                "%s: its file system has no locks; take care that one run works in it", folder
+            )
+            return handle
+        # Who held it before may have removed the file after it was opened here.
+        try:
+            if os.path.samestat(os.fstat(handle), path.stat()):
+                return handle
+        except FileNotFoundError:
+            pass
+        os.close(handle)
