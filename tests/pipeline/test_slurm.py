@@ -11,10 +11,7 @@ import pytest
 from tests.pipeline.slurm_on_loopback import SlurmOnLoopback, wait_until, why_not
 
 REASON = why_not()
-pytestmark = [
-    pytest.mark.skipif(REASON is not None, reason=f"no SLURM: {REASON}"),
-    pytest.mark.xdist_group("slurm"),
-]
+pytestmark = pytest.mark.skipif(REASON is not None, reason=f"no SLURM: {REASON}")
 
 SETTINGS = [
     "ground.method=none", "tiling.max_points=450", "output.labels=true",
