@@ -5,7 +5,7 @@ point there are the k nearest in the map, unless one beyond the region may be ne
 found: then further tiles are read until it cannot.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,35 +16,14 @@ from dynahull.clustering import Clusters
 from dynahull.density import SMALLEST_CLUSTER, reference_densities
 from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
-from dynahull.neighbours import nearest_neighbours
 from dynahull.parameters import MethodParameters
+from pipeline.nearest import FreePoints, NearestSoFar
 from pipeline.vicinity import Vicinity
 
 _QUERIES_AT_A_TIME = 4_096
 
 _FARTHEST_GATHERED = 8.0
 """Metres: all that is so near is gathered at once. Farther, it might be more than memory holds."""
-
-
-@dataclass(frozen=True, slots=True)
-class FreePoints:
-    """Ground-free points.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-    rows : (n,) int64 array
-    """
-
-    xyz: NDArray[np.float64]
-    rows: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "FreePoints":
-        """Return some of the points."""
-        return FreePoints(self.xyz[chosen], self.rows[chosen])
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,11 +144,9 @@ def core_densities(
     reached = pending & (reach <= _FARTHEST_GATHERED)
     density[reached] = rest.within_reach(np.flatnonzero(reached), reach[reached])
     one_by_one = np.flatnonzero(pending & ~reached)
-    for cluster in np.unique(membership[one_by_one]):
-        of_cluster = one_by_one[membership[one_by_one] == cluster]
-        for start in range(0, len(of_cluster), _QUERIES_AT_A_TIME):
-            batch = of_cluster[start : start + _QUERIES_AT_A_TIME]
-            density[batch] = rest.wherever(batch, cluster)
+    for start in range(0, len(one_by_one), _QUERIES_AT_A_TIME):
+        batch = one_by_one[start : start + _QUERIES_AT_A_TIME]
+        density[batch] = rest.wherever(batch, reach[batch])
     return CoreDensities(membership[core], density[core], int(pending.sum()))
 
 
@@ -300,81 +277,58 @@ class _Rest:
             if any(vicinity.meets(*box) for vicinity in vicinities):
                 yield tile
 
-    def wherever(self, queries: NDArray[np.intp], cluster: int) -> NDArray[np.float64]:
-        """Return the density of points of one cluster, wherever their neighbours are."""
-        k = self._parameters.neighbours.k
-        centres = self._known.select(queries)
-        nearest = _Nearest(centres.xyz, k)
-        nearest.offer(self._known.select(self._membership == cluster), np.arange(len(queries)))
-        low, high = nearest.bounds()
-        for tile in self._others.near(low, high):
-            reaching = nearest.reaching(*self._others.box(tile))
-            if len(reaching):
-                points = self._others.free_points(tile)
-                points = points.select(~self._region.holds(points.xyz))
-                of_cluster = self._clusters.nearest(points.xyz) == cluster
-                nearest.offer(points.select(of_cluster), reaching)
-        density = np.full(len(queries), np.nan)
-        for slot, neighbours in nearest.neighbourhoods():
-            if len(neighbours) < SMALLEST_CLUSTER:
+    def wherever(
+        self, queries: NDArray[np.intp], reach: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the density of points, wherever their neighbours are."""
+        of_cluster = {
+            int(cluster): np.flatnonzero(self._membership[queries] == cluster)
+            for cluster in np.unique(self._membership[queries])
+        }
+        searches = {}
+        for cluster, slots in of_cluster.items():
+            centres = self._known.xyz[queries[slots]]
+            searches[cluster] = NearestSoFar(centres, self._parameters.neighbours.k, reach[slots])
+            searches[cluster].offer(
+                self._known.select(self._membership == cluster), np.arange(len(slots))
+            )
+        for tile in self._others.near(*_bounds_of_all(searches.values())):
+            reaching = {
+                cluster: search.reaching(*self._others.box(tile))
+                for cluster, search in searches.items()
+            }
+            if not any(map(len, reaching.values())):
                 continue
-            if self._parameters.density.device == "reference":
-                centre = centres.xyz[slot : slot + 1]
-                density[slot] = reference_densities(
-                    neighbours.xyz, neighbours.rows, k, centres=centre
-                )[0]
-            else:
-                query = neighbours.rows == centres.rows[slot]
-                density[slot] = hull_densities(
-                    neighbours.xyz, neighbours.rows, k, queries=query
-                ).density[query][0]
+            points = self._others.free_points(tile)
+            points = points.select(~self._region.holds(points.xyz))
+            membership = self._clusters.nearest(points.xyz)
+            for cluster, slots in reaching.items():
+                if len(slots):
+                    searches[cluster].offer(points.select(membership == cluster), slots)
+        density = np.full(len(queries), np.nan)
+        for cluster, slots in of_cluster.items():
+            for slot, neighbours in searches[cluster].neighbourhoods():
+                query = queries[slots[slot]]
+                density[slots[slot]] = self._density_of(query, neighbours)
         return density
 
+    def _density_of(self, query: np.intp, neighbours: FreePoints) -> float:
+        """Return the density of one point, of which the neighbours are known."""
+        k = self._parameters.neighbours.k
+        if len(neighbours) < SMALLEST_CLUSTER:
+            return np.nan
+        if self._parameters.density.device == "reference":
+            centre = self._known.xyz[query][None]
+            found = reference_densities(neighbours.xyz, neighbours.rows, k, centres=centre)
+            return float(found[0])
+        chosen = neighbours.rows == self._known.rows[query]
+        scored = hull_densities(neighbours.xyz, neighbours.rows, k, queries=chosen)
+        return float(scored.density[chosen][0])
 
-class _Nearest:
-    """The k nearest points met so far, of each of some queries."""
 
-    def __init__(self, centres: NDArray[np.float64], k: int) -> None:
-        self._centres = centres
-        self._k = k
-        self._xyz = np.full((len(centres), k, 3), np.nan)
-        self._rows = np.full((len(centres), k), np.iinfo(np.int64).max)
-        self._squared = np.full((len(centres), k), np.inf)
-
-    def offer(self, points: FreePoints, slots: NDArray[np.intp]) -> None:
-        """Let the queries `slots` choose among more points."""
-        if not len(points):
-            return
-        centres = self._centres[slots]
-        found = nearest_neighbours(points.xyz, points.rows, self._k, centres)
-        difference = points.xyz[found] - centres[:, None]
-        dx, dy, dz = (difference[..., axis] for axis in range(3))
-        squared = np.concatenate([self._squared[slots], (dx * dx + dy * dy) + dz * dz], axis=1)
-        rows = np.concatenate([self._rows[slots], points.rows[found]], axis=1)
-        xyz = np.concatenate([self._xyz[slots], points.xyz[found]], axis=1)
-        order = np.lexsort((rows, squared), axis=1)[:, : self._k]
-        self._squared[slots] = np.take_along_axis(squared, order, axis=1)
-        self._rows[slots] = np.take_along_axis(rows, order, axis=1)
-        self._xyz[slots] = np.take_along_axis(xyz, order[..., None], axis=1)
-
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a box that no neighbour of any query lies outside of."""
-        reach = self._reach()[:, None]
-        flat = self._centres[:, :2]
-        return (flat - reach).min(axis=0), (flat + reach).max(axis=0)
-
-    def reaching(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the queries that may have a neighbour in a box."""
-        flat = self._centres[:, :2]
-        apart = np.maximum(np.maximum(low - flat, flat - high), 0.0)
-        return np.flatnonzero(np.hypot(apart[:, 0], apart[:, 1]) <= self._reach())
-
-    def neighbourhoods(self) -> Iterator[tuple[int, FreePoints]]:
-        """Yield each query and its neighbours in their order."""
-        for slot, squared in enumerate(self._squared):
-            found = np.isfinite(squared)
-            yield slot, FreePoints(self._xyz[slot, found], self._rows[slot, found])
-
-    def _reach(self) -> NDArray[np.float64]:
-        # A hair more than the distance, so that no rounding of it hides a tie beyond a border.
-        return np.asarray(np.sqrt(self._squared[:, -1]) * (1 + 1e-9))
+def _bounds_of_all(
+    searches: Iterable[NearestSoFar],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a box that no neighbour of any query lies outside of."""
+    low, high = zip(*(search.bounds() for search in searches), strict=True)
+    return np.min(low, axis=0), np.max(high, axis=0)

@@ -1,9 +1,11 @@
 """What the machine offers, and what a run took of it."""
 
+import ctypes
 import os
 import resource
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -24,6 +26,15 @@ def peak_memory() -> int:
             return int(line.split()[1]) * 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def give_memory_back() -> None:
+    """Give memory that is free in this process back to the system, where it can be told to.
+
+    Otherwise it stays with the process, and what the next task needs elsewhere comes on top.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def available_memory() -> int:

@@ -21,7 +21,7 @@ from pipeline.cluster.security import cluster_security, scheduler_security
 from pipeline.configuration import Configuration
 from pipeline.errors import ClusterError, ConfigurationError
 from pipeline.tiles.execution import Executor, OnDask, Outcome, Task
-from pipeline.tiles.fork_server import WORKER_ENVIRONMENT
+from pipeline.tiles.fork_server import ONE_THREAD
 
 logger = logging.getLogger("dynahull")
 
@@ -31,7 +31,7 @@ _ALLOWED_FAILURES = 10
 _LOOPBACK = "127.0.0.1:0"
 
 JOB_ENVIRONMENT = {
-    **WORKER_ENVIRONMENT,
+    **ONE_THREAD,
     "DASK_DISTRIBUTED__WORKER__MEMORY__TARGET": "False",
     "DASK_DISTRIBUTED__WORKER__MEMORY__SPILL": "False",
     "DASK_DISTRIBUTED__WORKER__MEMORY__PAUSE": "False",

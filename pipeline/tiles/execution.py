@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import Any, Protocol
 
-from pipeline.tiles.fork_server import START_METHOD, WORKER_ENVIRONMENT, start_fork_server
+from pipeline.tiles.fork_server import ONE_THREAD, START_METHOD, start_fork_server
 from pipeline.tiles.work import TaskReport
 
 IN_FLIGHT_PER_WORKER = 2
@@ -213,7 +213,7 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
     # It tells how every process and connection comes and goes.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     settings: dict[str, Any] = {
-        "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
+        "distributed.nanny.pre-spawn-environ": ONE_THREAD,
         "distributed.worker.multiprocessing-method": START_METHOD,
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,

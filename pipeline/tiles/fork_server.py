@@ -24,12 +24,6 @@ ONE_THREAD = dict.fromkeys(
 )
 """Environment of a worker: no library starts threads of its own."""
 
-WORKER_ENVIRONMENT = {
-    **ONE_THREAD,
-    # Memory that a tile no longer needs goes back to the system, not to the next tile's peak.
-    "MALLOC_TRIM_THRESHOLD_": "65536",
-}
-
 START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 """How worker processes start; forking after imports is sound on Linux only."""
 
@@ -42,7 +36,7 @@ def start_fork_server() -> None:
     if START_METHOD != "forkserver":
         return
     multiprocessing.get_context("forkserver").set_forkserver_preload(["pipeline.tiles.preloaded"])
-    with _environment(WORKER_ENVIRONMENT):
+    with _environment(ONE_THREAD):
         forkserver.ensure_running()
 
 

@@ -10,7 +10,8 @@ from dynahull.algorithm import set_aside_labels, set_ground_aside, valid_points
 from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.progress import SilentObserver
-from pipeline.borders import FreePoints, Region
+from pipeline.borders import Region
+from pipeline.nearest import FreePoints
 from pipeline.report_page.sample import is_sampled
 from pipeline.tiles.division import divided
 from pipeline.tiles.job import Job

@@ -12,7 +12,8 @@ from dynahull.density import SMALLEST_CLUSTER
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER
-from pipeline.borders import FreePoints, core_densities
+from pipeline.borders import core_densities
+from pipeline.nearest import FreePoints
 from pipeline.selection import Cut, ScoredPoints, find_cuts
 from pipeline.tiles.division import divided, widened
 from pipeline.tiles.ground import (

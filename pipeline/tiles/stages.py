@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from pipeline.errors import TasksFailedError
+from pipeline.machine import give_memory_back
 from pipeline.map_state import check_map
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import assemble_tile, cut_rows, survey_rows
@@ -59,6 +60,7 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
         check_map(job.paths, job.state)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
     job.work.finish(stage, number, report)
+    give_memory_back()
     return report
 
 

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from dynahull import MethodParameters
 from dynahull.clustering import Clusters
 from dynahull.density import cluster_densities
-from pipeline.borders import FreePoints, Region, core_densities
+from pipeline.borders import Region, core_densities
+from pipeline.nearest import FreePoints
 
 
 class Grid:
