@@ -17,6 +17,7 @@ from pipeline.cluster.commands import (
     submit_command,
 )
 from pipeline.evaluation.command import evaluate_command
+from pipeline.nightly.command import nightly_command
 from pipeline.options import ConfigurationSource, Maps, Output, Settings
 from pipeline.preview_command import preview_command
 from pipeline.tiles.commands import (
@@ -218,6 +219,7 @@ app.command("clean")(clean_command)
 app.command("submit")(submit_command)
 app.command("cancel")(cancel_command)
 app.command("evaluate")(evaluate_command)
+app.command("nightly")(nightly_command)
 app.command("preview")(preview_command)
 
 

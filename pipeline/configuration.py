@@ -12,10 +12,13 @@ from dynahull.labels import Label
 from dynahull.parameters import MethodParameters, validation_message
 from pipeline.cluster.parameters import BATCH_SYSTEMS, BatchSystemName, ClusterParameters
 from pipeline.errors import ConfigurationError
-from pipeline.quantities import Bytes
+from pipeline.quantities import Bytes, Size
 
 _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 """What PyYAML raises: ValueError for a date like 2024-13-45, RecursionError for deep brackets."""
+
+NIGHTLY_EXAMPLE = "nightly.yaml"
+"""Lies beside the ready configurations, and is none: it says what is cleaned every night."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -106,6 +109,11 @@ class OutputParameters(BaseModel):
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
     )
+    keep_free: Size = Field(
+        0,
+        description="Space on the disk that is left to others, such as 20GiB: a run that would go "
+        "below is refused before any work.",
+    )
     report: Literal["html", "none"] = Field(
         "html",
         description="`html`: write report.html, a page that shows what the run did, offline.",
@@ -148,10 +156,15 @@ def is_elsewhere(configuration: Configuration) -> bool:
 
 def ready_configurations() -> dict[str, Path]:
     """Return the configurations that come with the product, by name."""
+    files = sorted(configurations_folder().glob("*.yaml"))
+    return {path.stem: path for path in files if path.name != NIGHTLY_EXAMPLE}
+
+
+def configurations_folder() -> Path:
+    """Return where the YAML files lie that come with the product."""
     # Beside this module in an installed package, beside the package in a checkout.
     here = Path(__file__).resolve().parent
-    folder = next(place for place in (here / "configs", here.parent / "configs") if place.is_dir())
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    return next(place for place in (here / "configs", here.parent / "configs") if place.is_dir())
 
 
 def load_configuration(source: str | None, settings: Sequence[str] = ()) -> Configuration:

@@ -37,6 +37,18 @@ class PlanError(PipelineError):
     """A run would take more memory or disk than there is: refused before any work."""
 
 
+class DiskSpaceError(PlanError):
+    """A run would take more disk than there is."""
+
+
+class NightlyError(PipelineError):
+    """What a night works with or left behind is not what it must be."""
+
+
+class NightLockedError(PipelineError):
+    """Another night works on the same output folder."""
+
+
 class TasksFailedError(PipelineError):
     """Tasks of a run failed; what the others did is kept."""
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dynahull.ground import ground_radius, height_radius
 from pipeline.configuration import Configuration, is_elsewhere
-from pipeline.errors import PlanError
+from pipeline.errors import DiskSpaceError, PlanError
 from pipeline.machine import available_memory
 from tiling.formats.collection import MapCollection
 from tiling.layout import Layout, quadtree
@@ -218,12 +218,32 @@ def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
             f"({largest:,} points with its halo) and has {in_units(memory)}: "
             "choose a smaller tiling.max_points or tiling.halo, or fewer execution.workers"
         )
+    check_space(folder, plan.disk, plan.output_size, configuration.output.keep_free)
+
+
+def check_space(folder: Path, temporary: int, results: int, keep_free: int) -> None:
+    """Refuse what would take more disk than there is.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it would be written; it need not be there yet.
+    temporary, results : int
+        Bytes.
+    keep_free : int
+        Bytes that are left to others.
+
+    Raises
+    ------
+    DiskSpaceError
+    """
     place = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
-    free, wanted = shutil.disk_usage(place).free, plan.disk + plan.output_size
-    if wanted > free:
-        raise PlanError(
-            f"{place}: the run would write {in_units(plan.disk)} of temporary files and "
-            f"{in_units(plan.output_size)} of results, and {in_units(free)} are free"
+    free = shutil.disk_usage(place).free
+    if temporary + results + keep_free > free:
+        kept = f", of which {in_units(keep_free)} are to stay so" if keep_free else ""
+        raise DiskSpaceError(
+            f"{place}: the run would write {in_units(temporary)} of temporary files and "
+            f"{in_units(results)} of results, and {in_units(free)} are free{kept}"
         )
 
 

@@ -37,7 +37,7 @@ from pipeline.outputs import (
     default_folder,
     output_folder,
 )
-from pipeline.plan import check_one_tile, check_plan, is_one_tile, worker_memory_limit
+from pipeline.plan import check_one_tile, check_plan, check_space, is_one_tile, worker_memory_limit
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
 from pipeline.report_page.page import render_page
@@ -143,7 +143,10 @@ def run(
     results = names.all_files(configuration.output.labels, wants_page)
     with output_folder(folder, results, paths) as staging, unchanged(paths) as state:
         one_tile = is_one_tile(collection, configuration)
-        if not one_tile:
+        if one_tile:
+            size = sum(path.stat().st_size for path in paths)
+            check_space(folder, 0, size, configuration.output.keep_free)
+        else:
             prepare_workers(configuration)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)

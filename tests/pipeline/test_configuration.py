@@ -9,7 +9,8 @@ from pipeline.configuration import Configuration, load_configuration, ready_conf
 from pipeline.configuration_page import configuration_page
 from pipeline.errors import ConfigurationError
 
-READY = sorted(path.stem for path in (Path(__file__).parents[2] / "configs").glob("*.yaml"))
+CONFIGS = (Path(__file__).parents[2] / "configs").glob("*.yaml")
+READY = sorted(path.stem for path in CONFIGS if path.stem != "nightly")
 
 
 def write(folder, text):

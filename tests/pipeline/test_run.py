@@ -11,7 +11,7 @@ import yaml
 from dynahull import Label, clean
 from pipeline import run as run_module
 from pipeline.configuration import load_configuration
-from pipeline.errors import InputChangedError, LostPointsError, OutputError
+from pipeline.errors import DiskSpaceError, InputChangedError, LostPointsError, OutputError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import writing
@@ -206,3 +206,12 @@ def test_real_maps_lose_nothing(name, shared_data: Path, tmp_path):
     assert 0.01 < report.counts["dynamic"] / len(whole) < 0.2
     assert static.tobytes() == whole[labels != "dynamic"].tobytes()
     assert dynamic.tobytes() == whole[labels == "dynamic"].tobytes()
+
+
+def test_a_run_that_would_fill_the_disk_is_refused_before_any_work(tmp_path):
+    np.save(tmp_path / "map.npy", np.zeros((4, 3)))
+    configuration = load_configuration(None, ["output.keep_free=9000 TiB"])
+    with pytest.raises(DiskSpaceError, match=r"9000.0 TiB are to stay so") as error:
+        run([tmp_path / "map.npy"], tmp_path / "out", configuration, StageObserver(LogDisplay()))
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "out").exists()

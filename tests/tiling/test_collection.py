@@ -123,3 +123,19 @@ def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(type(tmp_path), "iterdir", denied)
     with pytest.raises(NoMapError, match=r"expected a map, .*cannot be read \(Permission denied"):
         find_map_files([tmp_path])
+
+
+def test_hashing_tells_how_far_it_is_and_may_be_ended(tmp_path):
+    paths = [tmp_path / name for name in "ab"]
+    for path in paths:
+        path.write_bytes(b"x" * 1_500_000)
+    seen = []
+    assert content_hash(paths, seen.append) == content_hash(paths)
+    assert sum(seen) == 3_000_000
+    assert len(seen) > len(paths)
+
+    def enough(size):
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        content_hash(paths, enough)

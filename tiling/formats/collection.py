@@ -3,7 +3,7 @@
 import glob
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
 
@@ -51,13 +51,15 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     return tuple(found.values())
 
 
-def content_hash(paths: Sequence[Path]) -> str:
+def content_hash(paths: Sequence[Path], advance: Callable[[int], None] | None = None) -> str:
     """Hash the bytes of files, one after the other, in one digest.
 
     Parameters
     ----------
     paths : sequence of Path
         The files, whose names do not matter but whose order and sizes do.
+    advance : callable, optional
+        Told of the bytes of each block that was hashed; what it raises ends the hashing.
 
     Returns
     -------
@@ -72,6 +74,8 @@ def content_hash(paths: Sequence[Path]) -> str:
         with path.open("rb") as file:
             while block := file.read(_HASH_BLOCK):
                 digest.update(block)
+                if advance is not None:
+                    advance(len(block))
     return digest.hexdigest()
 
 

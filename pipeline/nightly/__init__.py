@@ -1,0 +1,1 @@
+"""What is cleaned every night: maps that are new or changed, one after the other, unattended."""

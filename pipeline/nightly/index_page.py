@@ -1,0 +1,89 @@
+"""The page to look at in the morning: every map, what became of it, and its report."""
+
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+from pipeline.nightly.summary import FAILURES, MapLine, MapOutcome, NightSummary
+from tiling.atomic import atomic_file
+
+INDEX_FILE = "index.html"
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>dynahull-pipeline: night of {night}</title>
+<style>
+:root {{ color-scheme: light dark; }}
+body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem;
+  padding: 0 1rem; }}
+table {{ border-collapse: collapse; width: 100%; }}
+th, td {{ text-align: left; vertical-align: top; padding: .35rem .6rem;
+  border-bottom: 1px solid #8884; }}
+td.number, th.number {{ text-align: right; font-variant-numeric: tabular-nums; }}
+td.map {{ overflow-wrap: anywhere; }}
+.bad {{ color: #c62828; font-weight: 600; }}
+.reason {{ color: #888; overflow-wrap: anywhere; }}
+</style>
+</head>
+<body>
+<h1>Night of {night}</h1>
+<p>{text}. Exit code {code}.</p>
+{problems}<table>
+<thead><tr><th>map</th><th>tonight</th><th>last good result</th><th class="number">points</th>
+<th class="number">removed</th><th class="number">seconds</th></tr></thead>
+<tbody>
+{rows}
+</tbody>
+</table>
+<p><a href="nightly.json">nightly.json</a> · <a href="nightly.jsonl">nightly.jsonl</a> ·
+dynahull-pipeline {version}</p>
+</body>
+</html>
+"""
+
+_BAD = (*FAILURES, MapOutcome.SET_ASIDE)
+
+
+def write_index(folder: Path, summary: NightSummary) -> None:
+    """Replace `index.html`, which opens from the disk and needs nothing else."""
+    with atomic_file(folder / INDEX_FILE) as temporary:
+        temporary.write_text(index_page(summary), encoding="utf-8")
+
+
+def index_page(summary: NightSummary) -> str:
+    """Return the page: what went wrong first, then the maps by name."""
+    lines = sorted(summary.maps, key=lambda line: (line.outcome not in _BAD, line.map))
+    problems = "".join(f'<p class="bad">{escape(each)}</p>\n' for each in summary.problems)
+    return _PAGE.format(
+        night=escape(summary.night),
+        text=escape(summary.to_text()),
+        code=summary.exit_code,
+        problems=problems,
+        rows="\n".join(_row(line) for line in lines),
+        version=escape(summary.version),
+    )
+
+
+def _row(line: MapLine) -> str:
+    outcome = f'<span class="bad">{line.outcome}</span>' if line.outcome in _BAD else line.outcome
+    if line.reason:
+        tries = f" ({line.attempts} nights)" if line.attempts > 1 else ""
+        outcome += f'<div class="reason">{escape(line.reason)}{tries}</div>'
+    result = ""
+    if line.run and line.report:
+        name = escape(Path(line.run).name.rpartition("-")[0].replace("T", " "))
+        result = f'<a href="{quote(line.report)}">report of {name}</a>'
+        result += f' · <a href="{quote(line.run)}/">files</a>'
+    points = "" if line.points is None else f"{line.points:,}"
+    removed = ""
+    if line.points and line.removed is not None:
+        removed = f"{line.removed:,} ({100 * line.removed / line.points:.1f} %)"
+    seconds = "" if line.seconds is None else f"{line.seconds:,.0f}"
+    return (
+        f'<tr><td class="map">{escape(line.map)}</td><td>{outcome}</td><td>{result}</td>'
+        f'<td class="number">{points}</td><td class="number">{removed}</td>'
+        f'<td class="number">{seconds}</td></tr>'
+    )

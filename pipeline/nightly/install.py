@@ -1,0 +1,122 @@
+"""What begins the night: a line for cron, or a service and a timer for systemd."""
+
+import getpass
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.errors import ConfigurationError
+from pipeline.nightly.index_page import INDEX_FILE
+from pipeline.nightly.settings import NightlySettings
+
+LOG_FILE = "nightly.log"
+"""Where cron's line puts the log, in the output folder."""
+
+_UNIT = "dynahull-nightly"
+
+_SERVICE = """[Unit]
+Description=Clean the maps that are new or changed
+Documentation=https://arxiv.org/abs/2401.07541
+
+[Service]
+Type=oneshot
+User={user}
+ExecStart={command}
+# Only the night itself is told to stop; it stops its run, whose work is kept.
+KillMode=mixed
+TimeoutStopSec=2min
+SuccessExitStatus=130
+# A map that takes all memory shall not end the night.
+OOMPolicy=continue
+Nice=10
+"""
+
+_TIMER = """[Unit]
+Description=Every night: clean the maps that are new or changed
+
+[Timer]
+OnCalendar=*-*-* {at}:00
+Persistent=true
+
+[Install]
+WantedBy=timers.target
+"""
+
+
+def nightly_call(source: Path) -> list[str]:
+    """Return the words that start the night, wherever they are called from."""
+    # The name a virtual environment gives it, not what that is a link to.
+    script = Path(sys.executable).with_name("dynahull-pipeline")
+    program = [str(script)] if script.is_file() else [sys.executable, "-P", "-m", "pipeline"]
+    return [*program, "nightly", str(source.absolute())]
+
+
+def crontab_line(settings: NightlySettings, source: Path) -> str:
+    """Return the line of a crontab.
+
+    The log goes into a file; only of a night that did not go well does cron have something to mail.
+    """
+    hour, minute = (int(part) for part in settings.at.split(":"))
+    output = shlex.quote(str(settings.output))
+    log = shlex.quote(str(settings.output / LOG_FILE))
+    index = shlex.quote(f"see {settings.output / INDEX_FILE}")
+    call = shlex.join(nightly_call(source))
+    command = (
+        f"mkdir -p {output} && {{ {call} >> {log} 2>&1 || "
+        f'echo "dynahull-pipeline nightly: exit code $?," {index}; }}'
+    )
+    # To cron, % is the end of the command.
+    escaped = command.replace("%", "\\%")
+    return f"{minute} {hour} * * * {escaped}"
+
+
+def systemd_service(source: Path) -> str:
+    """Return the service unit."""
+    program, *arguments = nightly_call(source)
+    # In arguments, and only there, $ begins the name of a variable.
+    words = [program, *(word.replace("$", "$$") for word in arguments)]
+    command = " ".join(_systemd_word(word) for word in words)
+    return _SERVICE.format(user=getpass.getuser(), command=command)
+
+
+def systemd_timer(settings: NightlySettings) -> str:
+    """Return the timer unit."""
+    hour, minute = (int(part) for part in settings.at.split(":"))
+    return _TIMER.format(at=f"{hour:02d}:{minute:02d}")
+
+
+def install_text(settings: NightlySettings, source: Path) -> str:
+    """Return all that `--install` prints; nothing is installed by it.
+
+    Raises
+    ------
+    ConfigurationError
+        When a path holds what a line cannot.
+    """
+    _refuse_line_breaks([str(source.absolute()), str(settings.output), sys.executable])
+    return "\n".join(
+        [
+            "# For cron: this line, by `crontab -e`.",
+            crontab_line(settings, source),
+            "",
+            "# Or for systemd, /etc/systemd/system/:",
+            f"# ---- {_UNIT}.service",
+            systemd_service(source),
+            f"# ---- {_UNIT}.timer",
+            systemd_timer(settings),
+            f"# and then: systemctl daemon-reload && systemctl enable --now {_UNIT}.timer",
+        ]
+    )
+
+
+def _systemd_word(word: str) -> str:
+    """Quote a word as systemd.service(5) reads it: backslash and " escaped, % doubled."""
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
+    return f'"{word}"'
+
+
+def _refuse_line_breaks(paths: Sequence[str]) -> None:
+    for path in paths:
+        if not path.isprintable():
+            raise ConfigurationError(f"{path!r}: expected a path of printable characters")

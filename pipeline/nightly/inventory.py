@@ -1,0 +1,198 @@
+"""What maps there are, and whether they are what they were: by their state first, then by content.
+
+A map is not read to find out that it is as it was: sizes, times and inode numbers of its files are
+compared with those when it was hashed. Only the time of the last change of the inode cannot be set
+by programs, so that a file replaced by one of the same size and date is seen as well.
+"""
+
+import glob
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.configuration import Configuration
+from pipeline.nightly.journal import Fingerprint, MapRecord
+from pipeline.nightly.settings import NightlyInput, NightlySettings
+from tiling.errors import NoMapError
+from tiling.formats.collection import content_hash, find_map_files
+
+_COARSEST_TIME = 2.0
+"""Seconds between two changes of a file that its dates tell apart on any file system (FAT)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundMap:
+    """A map that is there.
+
+    Attributes
+    ----------
+    path : Path
+        The file, or the folder; absolute.
+    files : tuple of Path
+        What the map consists of, in the order in which a run reads them.
+    configuration : Configuration
+        How it is cleaned.
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    configuration: Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """An input that could not be looked at.
+
+    Attributes
+    ----------
+    root : Path
+        What should be there.
+    message : str
+        In one line.
+    """
+
+    root: Path
+    message: str
+
+
+def find_maps(
+    settings: NightlySettings, configurations: Sequence[Configuration]
+) -> tuple[list[FoundMap], list[Problem]]:
+    """Find all maps of all inputs; what lies in the output folder is none.
+
+    A map whose files all belong to maps found before is none either.
+
+    Parameters
+    ----------
+    settings : NightlySettings
+    configurations : sequence of Configuration
+        One for each input.
+
+    Returns
+    -------
+    maps : list of FoundMap
+        In the order of the inputs, and within one by name.
+    problems : list of Problem
+    """
+    maps: list[FoundMap] = []
+    problems = []
+    taken: set[Path] = set()
+    output = settings.output.resolve()
+    for given, configuration in zip(settings.inputs, configurations, strict=True):
+        if not given.root.exists():
+            problems.append(Problem(given.root, f"{given.root}: no such file or folder"))
+            continue
+        try:
+            for path, files in _maps_of(given):
+                place = path.resolve()
+                own = {file.resolve() for file in files}
+                if own <= taken or place == output or output in place.parents:
+                    continue
+                if not _is_text(path):
+                    name = str(path).encode(errors="replace").decode()
+                    problems.append(Problem(given.root, f"{name}: its name is not UTF-8"))
+                    continue
+                maps.append(FoundMap(path, files, configuration))
+                taken |= own
+        except OSError as error:
+            message = f"{error.filename or given.root}: {error.strerror or error}"
+            problems.append(Problem(given.root, message))
+    return maps, problems
+
+
+def _maps_of(given: NightlyInput) -> Iterator[tuple[Path, tuple[Path, ...]]]:
+    if given.each == "file":
+        for path in _map_files(given.maps):
+            yield path, (path,)
+        return
+    place = Path(given.maps)
+    if place.exists():
+        folders = list(place.iterdir())
+    else:
+        # Path.glob takes no absolute patterns.
+        folders = [Path(each) for each in glob.glob(given.maps, recursive=True)]  # noqa: PTH207
+    for folder in sorted(each for each in folders if each.is_dir()):
+        files = () if folder.name.startswith(".") else _map_files(str(folder))
+        if files:
+            yield folder, files
+
+
+def _map_files(maps: str) -> tuple[Path, ...]:
+    try:
+        return find_map_files([maps])
+    except NoMapError:
+        return ()
+
+
+def _is_text(path: Path) -> bool:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def fingerprint(files: tuple[Path, ...]) -> Fingerprint:
+    """Return the states of a map's files.
+
+    Raises
+    ------
+    OSError
+        When one is gone.
+    """
+    states = [(path.name, path.stat()) for path in files]
+    return tuple(
+        (name, state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
+        for name, state in states
+    )
+
+
+def last_change(states: Fingerprint, now: float) -> float:
+    """Return when a map was last written to, seconds since 1970.
+
+    The later of a file's two dates: a copy that keeps dates sets the first one back. Dates in the
+    future, by a clock that is wrong, are none.
+    """
+    dates = [date / 1e9 for state in states for date in (state[2], state[3])]
+    return max((date for date in dates if date <= now), default=now)
+
+
+def trusted_content(record: MapRecord, states: Fingerprint) -> str | None:
+    """Return the content of a map without reading it, None where it must be read."""
+    return record.content if record.content and record.fingerprint == states else None
+
+
+def learn_content(
+    found: FoundMap, record: MapRecord, now: Callable[[], float], advance: Callable[[int], None]
+) -> bool:
+    """Hash a map and remember its content.
+
+    Parameters
+    ----------
+    found : FoundMap
+    record : MapRecord
+        Where content and fingerprint are put down.
+    now : callable
+        Tells the time.
+    advance : callable
+        Told of the bytes hashed; what it raises ends the hashing.
+
+    Returns
+    -------
+    bool
+        False when the map changed meanwhile, and nothing was put down.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be read, or is gone.
+    """
+    begun, before = now(), fingerprint(found.files)
+    content = content_hash(found.files, advance)
+    if fingerprint(found.files) != before:
+        return False
+    record.content = content
+    # A change right after this one might leave the same dates: look again the next time.
+    recent = begun - last_change(before, begun) < _COARSEST_TIME
+    record.fingerprint = () if recent else before
+    return True

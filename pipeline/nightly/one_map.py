@@ -1,0 +1,74 @@
+"""One map, cleaned in a process of its own: what ends that process ends no night.
+
+Its argument is its request; it says on standard output what became of it, and stops tidily on
+SIGTERM. When standard input ends, the night was killed, and it stops as well.
+"""
+
+import logging
+import os
+import signal
+import sys
+from threading import Thread
+
+from dynahull.errors import DynaHullError
+from pipeline.errors import DiskSpaceError, PipelineError
+from pipeline.nightly.exchange import Ended, Request
+from pipeline.progress import LogDisplay, StageObserver
+from pipeline.run import run
+from tiling.errors import TilingError
+
+logger = logging.getLogger("dynahull")
+
+
+def clean_one(request: Request, observer: StageObserver) -> Ended:
+    """Clean a map, whatever happens."""
+    try:
+        run([request.map], request.output, request.configuration, observer)
+    except KeyboardInterrupt:
+        return Ended("stopped")
+    except DiskSpaceError as error:
+        return Ended("no space", _one_line(error))
+    except (TilingError, DynaHullError, PipelineError, OSError, MemoryError) as error:
+        return Ended("failed", _one_line(error))
+    except Exception as error:
+        logger.exception("this is a defect of dynahull-pipeline; please report it")
+        return Ended("failed", f"defect: {type(error).__name__}: {_one_line(error)}")
+    return Ended("cleaned")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def main() -> None:
+    """Do what the argument asks for."""
+    # Whatever libraries print goes to the log; no worker inherits where the answer goes.
+    answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    signal.signal(signal.SIGTERM, _stop)
+    Thread(target=_watch_the_night, daemon=True).start()
+    ended = clean_one(Request.from_text(sys.argv[1]), StageObserver(LogDisplay()))
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        answer.write(ended.to_text() + "\n")
+        answer.close()
+    except BrokenPipeError:
+        os._exit(1)
+
+
+def _stop(*_: object) -> None:
+    """Leave through the door of Ctrl-C, and let no second signal disturb that."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _watch_the_night() -> None:
+    """Wait until standard input ends, which is when the night's process does."""
+    while os.read(0, 1):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Where results lie: a folder for each map, in it one for each run, and `latest`.
+
+A run's folder is named after its beginning and its key, a hash of content and configuration: what
+was stopped goes on there, and what is finished is known again, whatever became of the journal.
+"""
+
+import hashlib
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pipeline.configuration import Configuration
+from pipeline.outputs import REPORT_FILE, RUN_FILE, folder_is_locked
+from pipeline.tiles.work import WORK_FOLDER, stages_begun
+
+LATEST = "latest"
+"""A symbolic link to the last good result."""
+
+_NEXT = ".latest-next"
+_REMOVED = ".removed-"
+
+_KEY_LENGTH = 16
+_TIME = "%Y-%m-%dT%H-%M-%SZ"
+_RUN_NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)-([0-9a-f]{16})")
+
+
+def map_name(path: Path) -> str:
+    """Return the name of a map's folder: its own, and a hash of where it lies.
+
+    So maps of the same name do not meet, and the name depends on nothing else.
+    """
+    own = re.sub(r"[^\w.-]", "_", path.stem)[:80]
+    return f"{own}-{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+
+
+def result_key(content: str, files: Sequence[Path], configuration: Configuration) -> str:
+    """Return the hash of all that decides a result: content, configuration, names of several files.
+
+    Not what tiles, workers and the space on the disk are like; nor the version, so that a new one
+    does not mean that all is cleaned again.
+    """
+    decisive = configuration.model_dump(
+        mode="json",
+        exclude={
+            "tiling": True,
+            "execution": True,
+            "cluster": True,
+            "output": {"keep_work", "keep_free", "report"},
+        },
+    )
+    names = [path.name for path in files] if len(files) > 1 else []
+    text = json.dumps([content, names, decisive], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
+
+
+@dataclass(frozen=True, slots=True)
+class MapFolder:
+    """The folder of one map's results.
+
+    Attributes
+    ----------
+    path : Path
+        It need not be there yet.
+    """
+
+    path: Path
+
+    def runs(self) -> list[Path]:
+        """Return the folders of all runs, the oldest first."""
+        if not self.path.is_dir():
+            return []
+        found = [
+            each
+            for each in self.path.iterdir()
+            if _RUN_NAME.fullmatch(each.name) and each.is_dir() and not each.is_symlink()
+        ]
+        return sorted(found, key=lambda run: run.name)
+
+    def finished(self) -> list[Path]:
+        """Return the folders of the runs that are whole, the oldest first."""
+        return [run for run in self.runs() if is_finished(run)]
+
+    def of_key(self, key: str) -> Path | None:
+        """Return the folder of a run with this key: one that is whole, or else the last."""
+        found = [run for run in self.runs() if run.name.endswith(f"-{key}")]
+        found.sort(key=lambda run: (is_finished(run), run.name))
+        return found[-1] if found else None
+
+    def result(self, key: str) -> Path | None:
+        """Return the folder of a whole run with this key."""
+        run = self.of_key(key)
+        return run if run is not None and is_finished(run) else None
+
+    def new(self, key: str, now: float) -> Path:
+        """Return a folder for a run that begins now; it is not made."""
+        return self.path / f"{datetime.fromtimestamp(now, UTC).strftime(_TIME)}-{key}"
+
+    def latest(self) -> Path | None:
+        """Return the last good result: where `latest` points, or else the newest that is whole."""
+        link = self.path / LATEST
+        if link.is_symlink() and is_finished(link):
+            return self.path / link.readlink().name
+        finished = self.finished()
+        return finished[-1] if finished else None
+
+    def point_latest(self, run: Path) -> None:
+        """Let `latest` point to a run; at no moment is there none."""
+        link = self.path / LATEST
+        if link.is_symlink() and str(link.readlink()) == run.name:
+            return
+        following = self.path / _NEXT
+        following.unlink(missing_ok=True)
+        following.symlink_to(run.name, target_is_directory=True)
+        following.replace(link)
+
+    def remove(self, run: Path) -> bool:
+        """Remove a run that nobody works on; one that is half removed is never taken for a run."""
+        if folder_is_locked(run):
+            return False
+        hidden = run.with_name(_REMOVED + run.name)
+        shutil.rmtree(hidden, ignore_errors=True)
+        run.rename(hidden)
+        shutil.rmtree(hidden, ignore_errors=True)
+        return True
+
+    def remove_leftovers(self) -> None:
+        """Remove what a process left that was killed while it removed or pointed."""
+        if self.path.is_dir():
+            (self.path / _NEXT).unlink(missing_ok=True)
+            for hidden in self.path.glob(f"{_REMOVED}*"):
+                shutil.rmtree(hidden, ignore_errors=True)
+
+
+def is_finished(run: Path) -> bool:
+    """Tell whether a run's folder is whole."""
+    return (run / RUN_FILE).is_file()
+
+
+def begun(run: Path) -> float:
+    """Return when a run began, by its name; seconds since 1970."""
+    match = _RUN_NAME.fullmatch(run.name)
+    assert match is not None  # as `MapFolder.runs` finds them
+    return datetime.strptime(match[1], _TIME).replace(tzinfo=UTC).timestamp()
+
+
+def tasks_done(run: Path) -> int:
+    """Count the tasks of a run of several tiles that need not be done again."""
+    work = run / WORK_FOLDER
+    return sum(done for _, done, _ in stages_begun(work)) if work.is_dir() else 0
+
+
+def run_report(run: Path) -> dict[str, Any]:
+    """Return what `run.json` of a finished run says, nothing where it cannot be read."""
+    try:
+        report = json.loads((run / RUN_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return report if isinstance(report, dict) else {}
+
+
+def report_page(run: Path) -> Path:
+    """Return what to look at: the report of a finished run, or else its `run.json`."""
+    page = run / REPORT_FILE
+    return page if page.is_file() else run / RUN_FILE

@@ -1,0 +1,181 @@
+"""What a night has to say: a line for each map, and all of them together."""
+
+import json
+from collections import Counter
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from tiling.atomic import atomic_file
+
+LINES_FILE = "nightly.jsonl"
+SUMMARY_FILE = "nightly.json"
+
+EXIT_WELL = 0
+EXIT_SOME_FAILED = 4
+EXIT_LOCKED = 75
+EXIT_SIGNALLED = 130
+
+_LARGEST = 32 << 20
+"""Bytes of `nightly.jsonl` before it is put aside as `nightly.jsonl.1`."""
+
+
+class MapOutcome(StrEnum):
+    """What became of a map in a night."""
+
+    CLEANED = "cleaned"
+    UNCHANGED = "unchanged"
+    """Its result is there."""
+    WAITING = "waiting"
+    """It is still being written, or was changed while it was read."""
+    STOPPED = "stopped"
+    """The night ended; what is done of it is kept."""
+    LEFT = "left"
+    """Not begun: the night was over."""
+    FAILED = "failed"
+    NO_SPACE = "no space"
+    """It would take more disk than there is."""
+    SET_ASIDE = "set aside"
+    """It failed too often in earlier nights."""
+    VANISHED = "vanished"
+    """Its files are gone; results stay."""
+
+
+FAILURES = (MapOutcome.FAILED, MapOutcome.NO_SPACE)
+"""What makes the exit code 4."""
+
+
+class MapLine(BaseModel):
+    """One line of `nightly.jsonl`.
+
+    Attributes
+    ----------
+    night, time : str
+        Beginning of the night, and when this was said; UTC, ISO 8601.
+    map : str
+        The file or folder.
+    outcome : MapOutcome
+    reason : str or None
+        Of a failure, in one line.
+    attempts : int
+        Nights that this content failed, this one counted.
+    run : str or None
+        The last good result, relative to the output folder: this night's where it was cleaned.
+    report : str or None
+        The page to look at, relative to the output folder.
+    points, removed : int or None
+        Of that result.
+    seconds : float or None
+        That this night took for the map.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    night: str
+    time: str
+    map: str
+    outcome: MapOutcome
+    reason: str | None = None
+    attempts: int = 0
+    run: str | None = None
+    report: str | None = None
+    points: int | None = None
+    removed: int | None = None
+    seconds: float | None = None
+
+
+class NightSummary(BaseModel):
+    """What `nightly.json` holds.
+
+    Attributes
+    ----------
+    night, finished : str
+        Beginning and end; no end while the night lasts, or when it was killed.
+    ended : str
+        `done`: nothing was left to do. `time`: `stop_after`. `signal`. `running`.
+    exit_code : int or None
+    counts : dict of str to int
+        Maps by outcome.
+    problems : list of str
+        Inputs that could not be looked at.
+    maps : list of MapLine
+        The last line of each map.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    version: str
+    night: str
+    finished: str | None
+    ended: Literal["running", "done", "time", "signal"]
+    exit_code: int | None
+    counts: dict[str, int]
+    problems: list[str]
+    maps: list[MapLine]
+
+    def write(self, folder: Path) -> None:
+        """Replace `nightly.json`."""
+        with atomic_file(folder / SUMMARY_FILE) as temporary:
+            text = json.dumps(self.model_dump(mode="json"), indent=2)
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+    def to_text(self) -> str:
+        """Return the line at the end of a night."""
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in self.counts.items())
+        why = {"time": "; stop_after is over", "signal": "; stopped by a signal"}
+        return f"{counts or 'no maps'}{why.get(self.ended, '')}"
+
+
+def count_outcomes(lines: list[MapLine]) -> dict[str, int]:
+    """Count maps by outcome, in the order of `MapOutcome`, those that occur."""
+    counts = Counter(line.outcome for line in lines)
+    return {outcome.value: counts[outcome] for outcome in MapOutcome if counts[outcome]}
+
+
+def exit_code(lines: list[MapLine], problems: list[str], signalled: bool) -> int:
+    """Return what cron and systemd are told."""
+    if problems or any(line.outcome in FAILURES for line in lines):
+        return EXIT_SOME_FAILED
+    return EXIT_SIGNALLED if signalled else EXIT_WELL
+
+
+def time_text(now: float) -> str:
+    """Return a time as text: UTC, ISO 8601."""
+    return datetime.fromtimestamp(now, UTC).isoformat(timespec="seconds")
+
+
+def append_line(folder: Path, line: MapLine) -> None:
+    """Append a line to `nightly.jsonl`; after one that was cut off, on a line of its own."""
+    path = folder / LINES_FILE
+    text = json.dumps(line.model_dump(mode="json", exclude_none=True)) + "\n"
+    with path.open("ab+") as stream:
+        if stream.tell():
+            stream.seek(-1, 2)
+            text = text if stream.read(1) == b"\n" else "\n" + text
+        stream.write(text.encode())
+
+
+def was_cleaned(folder: Path, run: str) -> bool:
+    """Tell whether `nightly.jsonl` says of a result that it was made."""
+    path = folder / LINES_FILE
+    if not path.is_file():
+        return False
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        for text in stream:
+            try:
+                line = json.loads(text)
+            except ValueError:  # cut off by a kill
+                continue
+            if line.get("outcome") == MapOutcome.CLEANED and line.get("run") == run:
+                return True
+    return False
+
+
+def put_long_file_aside(folder: Path) -> None:
+    """Begin a new `nightly.jsonl` where the old one is long."""
+    path = folder / LINES_FILE
+    if path.is_file() and path.stat().st_size > _LARGEST:
+        path.replace(path.with_name(f"{LINES_FILE}.1"))
