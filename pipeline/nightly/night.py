@@ -25,7 +25,14 @@ from pipeline.nightly.inventory import (
 from pipeline.nightly.journal import Attempt, Failure, Journal, MapRecord
 from pipeline.nightly.lock import night_lock
 from pipeline.nightly.minutes import Minutes
-from pipeline.nightly.results import MapFolder, is_finished, map_name, run_report, tasks_done
+from pipeline.nightly.results import (
+    MapFolder,
+    is_finished,
+    map_name,
+    remove_finished_work,
+    run_report,
+    tasks_done,
+)
 from pipeline.nightly.retention import remove_old_runs
 from pipeline.nightly.settings import NightlySettings
 from pipeline.nightly.summary import MapOutcome, NightSummary
@@ -135,6 +142,7 @@ class _Night:
             if not self.comes_free(run):
                 continue
             if self.is_of_content(run, record):
+                remove_finished_work(run)
                 folder.point_latest(run)
                 self.minutes.cleaned_earlier(Path(path), run)
             else:

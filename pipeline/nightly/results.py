@@ -16,7 +16,7 @@ from typing import Any
 
 from pipeline.configuration import Configuration
 from pipeline.outputs import REPORT_FILE, RUN_FILE, folder_is_locked
-from pipeline.tiles.work import WORK_FOLDER, stages_begun
+from pipeline.tiles.work import WORK_FOLDER, remove_work, stages_begun
 
 LATEST = "latest"
 """A symbolic link to the last good result."""
@@ -152,6 +152,13 @@ def tasks_done(run: Path) -> int:
     """Count the tasks of a run of several tiles that need not be done again."""
     work = run / WORK_FOLDER
     return sum(done for _, done, _ in stages_begun(work)) if work.is_dir() else 0
+
+
+def remove_finished_work(run: Path) -> None:
+    """Remove the work of a whole run that was killed before it could, unless it is to be kept."""
+    output = run_report(run).get("configuration", {}).get("output", {})
+    if not output.get("keep_work", False):
+        remove_work(run / WORK_FOLDER)
 
 
 def run_report(run: Path) -> dict[str, Any]:

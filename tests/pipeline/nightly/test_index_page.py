@@ -1,0 +1,54 @@
+"""The page of the morning: every map is on it, with a link that leads somewhere."""
+
+from html.parser import HTMLParser
+from urllib.parse import unquote
+
+
+class Page(HTMLParser):
+    """Links and text of a page, and whether all that is opened is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.words, self.open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.links += [value for name, value in attrs if name in ("href", "src")]
+        if tag not in ("meta",):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data.strip())
+
+
+def test_every_map_and_its_report_are_on_the_page(place):
+    name = "a <b>&amp; 100%#1?.npy"
+    place.write(f"incoming/{name}", "one")
+    place.write("incoming/bad.npy", "corrupt <i>")
+    place.write("incoming/gone.npy", "two")
+    place.night()
+    (place.incoming / "gone.npy").unlink()
+    (place.folder / "surveys").rmdir()
+    place.night()
+    page = Page((place.output / "index.html").read_text())
+    assert page.open == []
+    for each in (name, "bad.npy", "gone.npy"):
+        assert str(place.incoming / each) in page.words
+    assert {"unchanged", "failed", "vanished"} <= set(page.words)
+    assert "it is corrupt; set aside after 2 nights, until it changes (2 nights)" in page.words
+    assert f"{place.folder}/surveys: no such file or folder" in page.words
+    assert len(page.links) == 2 * 2 + 2
+    for link in page.links:
+        assert (place.output / unquote(link)).exists()
+
+
+def test_the_report_is_linked_where_there_is_one(place):
+    path = place.write("incoming/a.npy", "one")
+    place.cleaner.after = lambda request: (request.output / "report.html").write_text("<html>")
+    place.night()
+    run = place.results(path).latest()
+    page = Page((place.output / "index.html").read_text())
+    assert f"{run.parent.name}/{run.name}/report.html" in page.links
