@@ -83,8 +83,10 @@ def check_las(source: Path, target: Path, values: list[np.ndarray]) -> None:
         assert (np.abs(after.header.mins - after.xyz.min(axis=0)) <= half).all()
         assert (np.abs(after.header.maxs - after.xyz.max(axis=0)) <= half).all()
     returns = np.bincount(np.array(after.return_number), minlength=16)[1:]
+    # Headers before LAS 1.4 count five returns; laspy fills up with zeros or not, by its version.
+    counted = 15 if after.header.version.minor >= 4 else 5
     by_return = after.header.number_of_points_by_return
-    assert np.array_equal(by_return, returns[: len(by_return)])
+    assert np.array_equal(by_return[:counted], returns[:counted])
     names = [*before.point_format.dimension_names]
     assert [*after.point_format.dimension_names] == [*names, "label", "density"]
     for name in names:
