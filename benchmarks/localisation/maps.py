@@ -14,6 +14,7 @@ from pipeline.simulation import SimulationParameters, simulate_scans
 __all__ = [
     "CLEANED_WITH",
     "NOT_CLEANED",
+    "PERFECT",
     "TRUE",
     "SecondDrive",
     "maps_of",
@@ -23,7 +24,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-TRUE, NOT_CLEANED = "true map", "not cleaned"
+TRUE, NOT_CLEANED, PERFECT = "true map", "not cleaned", "cleaned perfectly"
 
 CLEANED_WITH = ("paper", "indoor")
 """Ready configurations."""
@@ -54,14 +55,15 @@ class SecondDrive:
 def maps_of(parameters: SimulationParameters) -> Mapping[str, Floats]:
     """Return the true map, the map as it is and as it is cleaned, (N, 3) each, by name.
 
-    The true map has the noise and the drift of the drive, and no ghosts: what the best cleaning
-    could leave, and what stood behind the ghosts.
+    The true map has the noise and the drift of the drive, and no ghosts: what a perfect cleaning
+    leaves, and what stood behind the ghosts.
     """
     scans = list(simulate_scans(parameters))
     xyz = np.concatenate([scan.returns.xyz for scan in scans])
     maps = {
         TRUE: np.concatenate([scan.static_returns.xyz for scan in scans]),
         NOT_CLEANED: xyz,
+        PERFECT: xyz[~np.concatenate([scan.returns.moving for scan in scans])],
     }
     for name in CLEANED_WITH:
         maps[f"cleaned, {name}"] = xyz[clean(xyz, load_configuration(name).method()).kept]

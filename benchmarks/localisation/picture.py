@@ -45,7 +45,6 @@ def draw(path: Path, map_points: Floats, truth: Floats, found: Mapping[str, Floa
     plan.set_aspect("equal")
     plan.set(xlabel="x, m", ylabel="y, m")
     errors.set(xlabel="scan", ylabel="distance from the truth, mm", yscale="log")
-    plan.legend(loc="upper right", fontsize="small")
-    errors.legend(loc="upper right", fontsize="small")
+    plan.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), fontsize="small")
     figure.savefig(path, dpi=90)
     plt.close(figure)
