@@ -25,6 +25,9 @@ _BYTES_A_POINT = 260
 _BYTES_A_POINT_IN_MEMORY = 120
 """Of a map of one tile, with labels, on two threads."""
 
+_BYTES_A_POINT_UNDER_CLOTH = 330
+"""Of the same where the ground is found by `csf`."""
+
 _BYTES_ON_DISK = 100
 """A point of a tile, core or halo, in pieces, chunks and ground-free points together."""
 
@@ -255,7 +258,9 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
     PlanError
         In one line: what it takes, what there is, and what to change.
     """
-    wanted = _BASE_BYTES + _BYTES_A_POINT_IN_MEMORY * collection.point_count
+    cloth = configuration.ground.method == "csf"
+    each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
+    wanted = _BASE_BYTES + each * collection.point_count
     memory = configuration.execution.memory
     free = available_memory() if memory == "auto" else memory
     if wanted > free:
