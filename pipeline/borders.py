@@ -300,11 +300,14 @@ class _Rest:
             if not any(map(len, reaching.values())):
                 continue
             points = self._others.free_points(tile)
-            points = points.select(~self._region.holds(points.xyz))
+            low, high = _bounds_of_all(
+                searches[each] for each, slots in reaching.items() if len(slots)
+            )
+            within = Region(low, np.nextafter(high, np.inf)).holds(points.xyz)
+            points = points.select(within & ~self._region.holds(points.xyz))
             membership = self._clusters.nearest(points.xyz)
             for cluster, slots in reaching.items():
-                if len(slots):
-                    searches[cluster].offer(points.select(membership == cluster), slots)
+                searches[cluster].offer(points.select(membership == cluster), slots)
         density = np.full(len(queries), np.nan)
         for cluster, slots in of_cluster.items():
             for slot, neighbours in searches[cluster].neighbourhoods():

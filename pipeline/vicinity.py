@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.compilation import compiled
+
 _MOST_CELLS = 1_000
 """Cells along each axis: a million together, a byte each."""
 
@@ -46,13 +48,8 @@ class Vicinity:
 
     def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which of other points lie there, (m,) bool."""
-        place_x = (xyz[:, 0] - self.low[0]) / self._cell
-        place_y = (xyz[:, 1] - self.low[1]) / self._cell
-        size_x, size_y = self._marked.shape
-        inside = (place_x >= 0) & (place_x < size_x) & (place_y >= 0) & (place_y < size_y)
-        found = np.zeros(len(xyz), np.bool_)
-        cells_x, cells_y = place_x[inside].astype(np.int64), place_y[inside].astype(np.int64)
-        found[inside] = self._marked[cells_x, cells_y]
+        found = np.empty(len(xyz), np.bool_)
+        _look_up(xyz, self.low[0], self.low[1], self._cell, self._marked, found)
         return found
 
     def meets(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
@@ -65,3 +62,20 @@ class Vicinity:
         from_x, from_y = np.maximum(first.astype(np.int64) - 1, 0)
         to_x, to_y = last.astype(np.int64) + 2
         return bool(self._marked[from_x:to_x, from_y:to_y].any())
+
+
+@compiled
+def _look_up(
+    xyz: NDArray[np.float64],
+    low_x: float,
+    low_y: float,
+    cell: float,
+    marked: NDArray[np.bool_],
+    found: NDArray[np.bool_],
+) -> None:
+    """Tell of each point whether its cell is marked."""
+    size_x, size_y = marked.shape
+    for point in range(len(xyz)):
+        place_x, place_y = (xyz[point, 0] - low_x) / cell, (xyz[point, 1] - low_y) / cell
+        inside = 0 <= place_x < size_x and 0 <= place_y < size_y
+        found[point] = inside and marked[int(place_x), int(place_y)]

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from tiling.atomic import atomic_file
 from tiling.chunk_store import Chunk, ChunkStore
 from tiling.errors import ChunkError
-from tiling.formats.collection import MapCollection
+from tiling.formats.base import PointBatch
 from tiling.formats.compiled import compiled
 from tiling.layout import NO_TILE, Layout
 
@@ -31,13 +32,21 @@ _MAGIC = b"PIECE 1\n"
 _POINT_BYTES = 32
 _RUN_BYTES = 24
 
+
+class PointSource(Protocol):
+    """What gives the points of a map: its files, or a copy of their coordinates."""
+
+    def batches(self, max_points: int, rows: range) -> Iterator[tuple[int, PointBatch]]:
+        """Yield points of a range of rows, in order; see `MapCollection.batches`."""
+
+
 Points = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
 def write_pieces(
     store: ChunkStore,
-    collection: MapCollection,
+    source: PointSource,
     rows: range,
     part: int,
     most: int = POINTS_AT_A_TIME,
@@ -49,7 +58,7 @@ def write_pieces(
     Parameters
     ----------
     store : ChunkStore
-    collection : MapCollection
+    source : PointSource
         The map.
     rows : range
         Consecutive row numbers. The ranges of all parts together are all rows of the map.
@@ -75,7 +84,8 @@ def write_pieces(
     written = 0
     path = store.piece_path(part)
     with atomic_file(path) as temporary, temporary.open("wb") as stream:
-        for _, batch in collection.batches(most, rows):
+        # Half of them, as most points have some of them again in a halo.
+        for _, batch in source.batches(max(most // 2, 1), rows):
             for points, counts in sorter.by_tile(batch.xyz, batch.first_row, most):
                 stream.write(points.data)
                 runs.append(_runs(counts, written))

@@ -19,6 +19,7 @@ from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
+from pipeline.tiles.cutting import make_copies
 from pipeline.tiles.execution import Executor, LightTasks
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
@@ -83,7 +84,9 @@ def plan_tiles(
     job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
 ) -> None:
     """Survey the map, and plan its tiles."""
-    reports = do_stage(job, LightTasks(executor), observer, "survey", _rows(job))
+    make_copies(job)
+    rows = [len(part) for part in job.row_ranges]
+    reports = do_stage(job, LightTasks(executor), observer, "survey", rows)
     surveys = _surveys(job, reports)
     if (job.root / CHUNKS_FOLDER / "store.json").exists():
         exhaust(surveys)
@@ -107,16 +110,13 @@ def plan_tiles(
 
 def cut_into_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
     """Cut a map whose tiles are planned into their chunks."""
-    if job.needs_classes:
-        make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
-    exhaust(do_stage(job, executor, observer, "cut", _rows(job)))
+    rows = [len(part) for part in job.cut_ranges]
+    exhaust(do_stage(job, executor, observer, "cut", rows))
+    if job.coordinates is not None:
+        job.coordinates.path.unlink(missing_ok=True)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
-
-
-def _rows(job: Job) -> list[int]:
-    return [len(part) for part in job.row_ranges]
 
 
 def find_clusters(job: Job, observer: StageObserver) -> None:

@@ -1,32 +1,55 @@
 """Tasks that read the map: its survey, and its points cut into chunks."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pipeline.tiles.job import Job
-from pipeline.tiles.rows import open_rows
+from pipeline.tiles.rows import make_rows, open_rows
 from pipeline.tiles.work import TaskReport
 from tiling.chunks import assemble
+from tiling.formats.base import PointBatch
 from tiling.pieces import write_pieces
-from tiling.survey import survey
+from tiling.survey import survey_batches
+
+
+def make_copies(job: Job) -> None:
+    """Make the files for what the survey keeps of the map, unless it has begun."""
+    if (job.root / "survey").exists():
+        return
+    if job.needs_classes:
+        make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
+    if job.coordinates is not None:
+        job.coordinates.make()
 
 
 def survey_rows(job: Job, number: int) -> TaskReport:
-    """Survey one range of rows."""
+    """Survey one range of rows; keep of them what the map need not be read for again."""
     rows = job.row_ranges[number]
-    job.work.save("survey", number, **survey(job.collection, rows).to_arrays())
+    batches: Iterator[PointBatch] = (batch for _, batch in job.collection.batches(rows=rows))
+    if job.needs_classes:
+        batches = _classes_kept(job, batches)
+    if job.coordinates is not None:
+        batches = job.coordinates.keep(batches)
+    job.work.save("survey", number, **survey_batches(batches).to_arrays())
     return TaskReport(len(rows))
 
 
+def _classes_kept(job: Job, batches: Iterator[PointBatch]) -> Iterator[PointBatch]:
+    classes = open_rows(job.rows_path("class"), np.uint8, "r+")
+    for batch in batches:
+        if batch.classification is not None:
+            last = batch.first_row + len(batch.xyz)
+            classes[batch.first_row : last] = batch.classification
+        yield batch
+    if isinstance(classes, np.memmap):
+        classes.flush()
+
+
 def cut_rows(job: Job, number: int) -> TaskReport:
-    """Sort one range of rows by tile into a piece; keep their classes where they are needed."""
-    rows = job.row_ranges[number]
-    written = write_pieces(job.store, job.collection, rows, number)
-    if job.needs_classes:
-        classes = open_rows(job.rows_path("class"), np.uint8, "r+")
-        for _, batch in job.collection.batches(rows=rows):
-            if batch.classification is not None:
-                last = batch.first_row + len(batch.xyz)
-                classes[batch.first_row : last] = batch.classification
+    """Sort one range of rows by tile into a piece."""
+    rows = job.cut_ranges[number]
+    written = write_pieces(job.store, job.coordinates or job.collection, rows, number)
     return TaskReport(len(rows), (written,))
 
 

@@ -213,7 +213,9 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
     # It tells how every process and connection comes and goes.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     settings: dict[str, Any] = {
-        "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+        # Dask sets them in this process too, and does not take them back; a worker that is forked
+        # has those of the process that it is forked from.
+        "distributed.nanny.pre-spawn-environ": {} if START_METHOD == "forkserver" else ONE_THREAD,
         "distributed.worker.multiprocessing-method": START_METHOD,
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,

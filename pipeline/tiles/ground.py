@@ -22,7 +22,8 @@ from tiling.chunks import read_chunk, read_cores
 from tiling.layout import Layout
 
 LABEL_NAMES = ("core_rows", "core_labels")
-FREE_NAMES = ("xyz", "rows", "core")
+OWN_NAMES = ("own_xyz", "own_rows")
+AROUND_NAMES = ("around_xyz", "around_rows")
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 SHOWN_NAMES = ("shown_xyz", "shown_rows")
 
@@ -45,7 +46,7 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         labels = np.concatenate([labels for _, labels in parts])[order]
     free = decided.select(labels == Label.STATIC)
     core_rows = decided.rows[decided.core]
-    own = free.select(free.core)
+    own, around = free.select(free.core), free.select(~free.core)
     core_count = len(core_rows)
     parameters = job.configuration.clustering
     total = core_count if parameters.scope == "tile" else job.finite_count
@@ -53,9 +54,10 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
     arrays: dict[str, NDArray[Any]] = {
         "core_rows": core_rows,
         "core_labels": labels[decided.core],
-        "xyz": free.xyz,
-        "rows": free.rows,
-        "core": free.core,
+        "own_xyz": own.xyz,
+        "own_rows": own.rows,
+        "around_xyz": around.xyz,
+        "around_rows": around.rows,
         "sample_xyz": own.xyz[sample],
         "sample_rows": own.rows[sample],
     }
@@ -145,8 +147,7 @@ class TilesAround:
         if tile not in self._latest:
             if len(self._latest) >= _TILES_HELD:
                 self._latest.pop(next(iter(self._latest)))
-            xyz, rows, core = self._job.work.load("ground", tile, *FREE_NAMES)
-            self._latest[tile] = FreePoints(xyz[core], rows[core])
+            self._latest[tile] = FreePoints(*self._job.work.load("ground", tile, *OWN_NAMES))
         return self._latest[tile]
 
 

@@ -16,11 +16,13 @@ from pipeline.map_state import MapState
 from pipeline.plan import decision_radius
 from pipeline.tiles.work import WorkFolder
 from tiling.chunk_store import ChunkStore
+from tiling.coordinates import KeptCoordinates
 from tiling.formats.collection import MapCollection
 
 JOB_FILE = "job.json"
 CLUSTERS_FILE = "clusters.npy"
 CHUNKS_FOLDER = "tiles"
+COORDINATES_FILE = "map.coordinates"
 
 ROWS_AT_A_TIME = 1_000_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -79,6 +81,22 @@ class Job:
     def row_ranges(self) -> list[range]:
         """The ranges of rows that the map is read in."""
         return self.collection.row_ranges(ROWS_AT_A_TIME)
+
+    @cached_property
+    def coordinates(self) -> KeptCoordinates | None:
+        """The map's coordinates, kept until it is cut, where it takes long to read them."""
+        if all(reader.writes_parts for reader in self.collection.readers):
+            return None
+        return KeptCoordinates(self.root / COORDINATES_FILE, self.collection.point_count)
+
+    @cached_property
+    def cut_ranges(self) -> list[range]:
+        """The ranges of rows that the map is cut in."""
+        if self.coordinates is None:
+            return self.row_ranges
+        count = self.collection.point_count
+        starts = range(0, count, ROWS_AT_A_TIME)
+        return [range(start, min(start + ROWS_AT_A_TIME, count)) for start in starts]
 
     @cached_property
     def store(self) -> ChunkStore:

@@ -17,8 +17,9 @@ from pipeline.nearest import FreePoints
 from pipeline.selection import Cut, ScoredPoints, find_cuts
 from pipeline.tiles.division import divided, widened
 from pipeline.tiles.ground import (
-    FREE_NAMES,
+    AROUND_NAMES,
     LABEL_NAMES,
+    OWN_NAMES,
     SAMPLE_NAMES,
     TilesAround,
     region_of,
@@ -41,7 +42,10 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     after the other. The report counts the points finished from further tiles, then those of each
     cluster.
     """
-    xyz, rows, core = job.work.load("ground", tile, *FREE_NAMES)
+    own_xyz, own_rows = job.work.load("ground", tile, *OWN_NAMES)
+    around_xyz, around_rows = job.work.load("ground", tile, *AROUND_NAMES)
+    xyz, rows = np.concatenate([own_xyz, around_xyz]), np.concatenate([own_rows, around_rows])
+    core = np.arange(len(rows)) < len(own_rows)
     clusters = clusters_of(job, tile)
     region = region_of(job, tile)
     # Around a part lies the rest of the tile, as other tiles lie around the tile.

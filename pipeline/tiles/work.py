@@ -12,13 +12,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.tiles.array_file import read_arrays, write_arrays
 from tiling.atomic import atomic_file
 
 WORK_FOLDER = ".dynahull-work"
 """Within the output folder."""
+
+_ARRAYS = ".arrays"
+"""Suffix of what a task keeps."""
 
 REMOVED_FOLDER = f"{WORK_FOLDER}-removed"
 """Its name while it is being removed."""
@@ -89,14 +92,12 @@ class WorkFolder:
 
     def save(self, stage: str, task: int, **arrays: NDArray[Any]) -> None:
         """Keep the arrays of a task."""
-        path = self.path(stage, task, ".npz")
-        with atomic_file(path) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
+        with atomic_file(self.path(stage, task, _ARRAYS)) as temporary:
+            write_arrays(temporary, arrays)
 
     def load(self, stage: str, task: int, *names: str) -> list[NDArray[Any]]:
         """Return arrays of a finished task."""
-        with np.load(self.path(stage, task, ".npz")) as arrays:
-            return [arrays[name] for name in names]
+        return read_arrays(self.path(stage, task, _ARRAYS), *names)
 
     def write_json(self, path: Path, value: Any) -> None:
         """Write a file that appears whole or not at all."""

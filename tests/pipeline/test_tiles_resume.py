@@ -163,11 +163,11 @@ def test_how_the_work_is_spread_may_change_in_between(map_file, interrupted, exp
 
 def test_what_a_killed_task_left_half_written_is_never_taken(map_file, interrupted, expected):
     work = interrupted / WORK
-    density = work / "density/000004.npz"
+    density = work / "density/000004.arrays"
     assert not density.exists()
-    whole = (work / "density/000003.npz").read_bytes()
+    whole = (work / "density/000003.arrays").read_bytes()
     # Killed while it wrote the file; after that and before its marker; while it wrote the marker.
-    density.with_name(".000004.npz.0123456789ab.part").write_bytes(whole[: len(whole) // 2])
+    density.with_name(".000004.arrays.0123456789ab.part").write_bytes(whole[: len(whole) // 2])
     density.write_bytes(whole)
     density.with_name(".000004.done.0123456789ab.part").write_text("{", encoding="utf-8")
     (work / "ground/000002.done").write_text('{"key": "', encoding="utf-8")
