@@ -122,6 +122,11 @@ class ColumnCounter:
         """Count the points of an occupancy."""
         while self.cell < occupancy.cell:
             self._coarsen()
+        capacity = len(self._counts)
+        while capacity // 2 < min(self._occupied + len(occupancy.columns), MOST_COLUMNS):
+            capacity *= 2
+        if capacity > len(self._counts):
+            self._rebuild(capacity, self.cell)
         self._add_columns(occupancy.columns, occupancy.counts, occupancy.cell)
 
     def occupancy(self) -> Occupancy:
