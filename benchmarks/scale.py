@@ -10,7 +10,7 @@ the time a point within 1.15.
 """
 
 import argparse
-import resource
+import os
 import subprocess
 import sys
 import time
@@ -38,9 +38,7 @@ def main() -> None:
             subprocess.run([*COMMAND, *make], check=True, capture_output=True)
         settings = ["--set", f"execution.workers={arguments.workers}"]
         clean = ["run", str(folder / "map.pcd"), "-o", str(folder / "out"), *settings]
-        before = processor_seconds()
-        seconds, peak = measured([*COMMAND, *clean], folder / "log")
-        used = processor_seconds() - before
+        seconds, peak, used = measured([*COMMAND, *clean], folder / "log")
         print(
             f"{points:>13,} points: {seconds:7.1f} s, {seconds / points * 1e6:.2f} us a point; "
             f"of processors {used / points * 1e6:.2f} us a point; peak {peak / 2**30:.2f} GiB",
@@ -48,45 +46,61 @@ def main() -> None:
         )
 
 
-def measured(command: list[str], log: Path) -> tuple[float, int]:
-    """Run a command; return its wall time, and the most memory that its processes held."""
+def measured(command: list[str], log: Path) -> tuple[float, int, float]:
+    """Run a command; return its wall time, the most memory that its processes held, and their time.
+
+    The time is summed over processes as they were last seen: not all of them are waited for, so
+    that the system's account of ended processes lacks some.
+    """
     begun, peak = time.perf_counter(), 0
+    used: dict[int, float] = {}
     with log.open("w") as stream:
         process = subprocess.Popen(command, stdout=stream, stderr=stream)
         while process.poll() is None:
-            peak = max(peak, held_by(process.pid))
+            family = family_of(process.pid)
+            peak = max(peak, sum(map(held_by, family)))
+            used |= {each: seconds for each in family if (seconds := processor_seconds(each))}
             time.sleep(_EVERY)
     if process.returncode:
         sys.exit(f"failed: see {log}")
-    return time.perf_counter() - begun, peak
+    return time.perf_counter() - begun, peak, sum(used.values())
 
 
-def processor_seconds() -> float:
-    """Return the processor time of all ended processes, which other work hardly changes."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+def family_of(root: int) -> list[int]:
+    """Return a process and all below it."""
+    parents = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        fields = after_name(path)
+        if fields:
+            parents[int(path.parent.name)] = int(fields[1])
+    family = [root]
+    for each in family:
+        family += [child for child, parent in parents.items() if parent == each]
+    return family
 
 
-def held_by(root: int) -> int:
-    """Return the bytes that a process and all below it hold now, the page cache not counted."""
-    parents, sizes = {}, {}
-    for status in Path("/proc").glob("[0-9]*/status"):
-        try:
-            lines = status.read_text().splitlines()
-        except OSError:
-            continue
-        fields = {name: value.split() for name, _, value in (each.partition(":") for each in lines)}
-        number = int(fields["Pid"][0])
-        parents[number] = int(fields["PPid"][0])
-        kinds = ("RssAnon", "RssShmem")
-        sizes[number] = sum(int(fields[kind][0]) << 10 for kind in kinds if kind in fields)
-    total = 0
-    for number, size in sizes.items():
-        above: int | None = number
-        while above is not None and above != root:
-            above = parents.get(above)
-        total += size if above == root else 0
-    return total
+def held_by(process: int) -> int:
+    """Return the bytes that a process holds now, the page cache not counted."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return 0
+    kinds = ("RssAnon:", "RssShmem:")
+    return sum(int(line.split()[1]) << 10 for line in lines if line.startswith(kinds))
+
+
+def processor_seconds(process: int) -> float:
+    """Return the processor time of a process so far; 0 where it has ended."""
+    fields = after_name(Path(f"/proc/{process}/stat"))
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK") if fields else 0.0
+
+
+def after_name(path: Path) -> list[str]:
+    """Return what the system says of a process, from its state on; see proc(5)."""
+    try:
+        return path.read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return []
 
 
 if __name__ == "__main__":

@@ -33,6 +33,10 @@ def give_memory_back() -> None:
 
     Otherwise it stays with the process, and what the next task needs elsewhere comes on top.
     """
+    if "pyarrow" in sys.modules:
+        import pyarrow as pa  # noqa: PLC0415 (only where it is in use)
+
+        pa.default_memory_pool().release_unused()
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 

@@ -30,9 +30,16 @@ def write(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
 
 def read(path: Path) -> Chunk:
     """Read a chunk."""
+    chunk = _read(path)
+    # Arrow keeps what it freed: as much again as the chunk, all the time that it is worked on.
+    pa.default_memory_pool().release_unused()
+    return chunk
+
+
+def _read(path: Path) -> Chunk:
     with pq.ParquetFile(path) as file:
         table = file.read(use_threads=False)
     xyz = np.empty((table.num_rows, 3))
     for axis, name in enumerate(_COLUMNS):
         xyz[:, axis] = table.column(name).to_numpy()
-    return Chunk(xyz, table.column("row").to_numpy(), table.column("core").to_numpy())
+    return Chunk(xyz, table.column("row").to_numpy().copy(), table.column("core").to_numpy())
