@@ -74,6 +74,10 @@ def meeting(folder, number):
     return answer(folder, number)
 
 
+def threads_allowed(folder, number):
+    return TaskReport(int(os.environ["RAYON_NUM_THREADS"]))
+
+
 @pytest.fixture(scope="module")
 def client():
     """Two workers in this process."""
@@ -131,6 +135,17 @@ def test_light_tasks_are_done_here_until_the_workers_are_there(client):
     assert [found[number].points == here for number in range(5)] == [True] * 3 + [False] * 2
     assert dict(executor.run(thread, "", [7]))[7].points != here
     assert LightTasks(InProcess()).workers == 1
+
+
+def test_starting_workers_leaves_this_process_its_threads(monkeypatch):
+    names = ("OMP_NUM_THREADS", "RAYON_NUM_THREADS")
+    for name in names:
+        monkeypatch.setenv(name, "7")
+    with local_workers(1, 1 << 30) as executor:
+        assert dict(executor.run(answer, "abc", [0])) == {0: TaskReport(0, (3,))}
+        assert {name: os.environ[name] for name in names} == dict.fromkeys(names, "7")
+        here = dict(executor.run(threads_allowed, "", [0]))
+    assert here == {0: TaskReport(1)}
 
 
 def test_workers_that_cannot_start_are_told(client):

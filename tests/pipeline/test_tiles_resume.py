@@ -161,6 +161,27 @@ def test_how_the_work_is_spread_may_change_in_between(map_file, interrupted, exp
     assert results(interrupted) == expected
 
 
+def test_a_map_that_must_be_decoded_is_read_once_before_it_is_cut(
+    map_file, tmp_path, monkeypatch, expected, done_tasks
+):
+    packed = tmp_path / "map.npz"
+    np.savez_compressed(packed, np.load(map_file))
+    monkeypatch.setattr("pipeline.tiles.job.ROWS_AT_A_TIME", 300)
+    fault = Fault(monkeypatch, "cut", 1, ValueError("no luck"))
+    with pytest.raises(TasksFailedError):
+        cleaned(packed, tmp_path / "out")
+    work = tmp_path / "out" / WORK
+    # It cannot be read from the middle, and yet its coordinates are cut side by side.
+    assert sorted(done_tasks) == [("cut", 0), ("cut", 2), ("survey", 0)]
+    assert (work / "map.coordinates").stat().st_size == 800 * 24
+    done_tasks.clear()
+    fault.error = None
+    cleaned(packed, tmp_path / "out", "output.keep_work=true")
+    assert {number for stage, number in done_tasks if stage in ("survey", "cut")} == {1}
+    assert not (work / "map.coordinates").exists()
+    assert (tmp_path / "out/labels.parquet").read_bytes() == expected["labels.parquet"]
+
+
 def test_what_a_killed_task_left_half_written_is_never_taken(map_file, interrupted, expected):
     work = interrupted / WORK
     density = work / "density/000004.arrays"

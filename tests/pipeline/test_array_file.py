@@ -1,0 +1,55 @@
+"""Arrays in a file: they come back as they were, and a damaged file is named."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays, scalar_dtypes
+
+from pipeline.errors import WorkError
+from pipeline.tiles.array_file import read_arrays, write_arrays
+
+KINDS = scalar_dtypes().filter(lambda kind: kind.kind not in "Mm")
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    written=st.dictionaries(
+        st.text(min_size=1, max_size=5),
+        arrays(KINDS, array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=5)),
+        max_size=4,
+    ),
+    random=st.randoms(use_true_random=False),
+)
+def test_arrays_come_back_in_any_order(tmp_path_factory, written, random):
+    path = tmp_path_factory.mktemp("arrays") / "task.arrays"
+    write_arrays(path, written)
+    names = random.sample(sorted(written), len(written))
+    for name, found in zip(names, read_arrays(path, *names), strict=True):
+        assert (found.dtype, found.shape) == (written[name].dtype, written[name].shape)
+        assert found.tobytes() == written[name].tobytes()
+
+
+def test_an_array_that_is_no_run_of_memory_comes_back(tmp_path):
+    strided = np.arange(24.0).reshape(4, 6)[::2, 1::2]
+    write_arrays(tmp_path / "task.arrays", {"strided": strided, "turned": strided.T})
+    found, turned = read_arrays(tmp_path / "task.arrays", "strided", "turned")
+    np.testing.assert_array_equal(found, strided)
+    np.testing.assert_array_equal(turned, strided.T)
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:-100], lambda data: b"x" + data, lambda _: b""]
+)
+def test_a_damaged_file_is_named(tmp_path, damage):
+    path = tmp_path / "task.arrays"
+    write_arrays(path, {"rows": np.arange(50)})
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(WorkError, match=r"task\.arrays: expected the arrays rows, found a damaged"):
+        read_arrays(path, "rows")
+
+
+def test_an_array_that_was_not_kept_is_named(tmp_path):
+    write_arrays(tmp_path / "task.arrays", {"rows": np.arange(5)})
+    with pytest.raises(WorkError, match="expected the arrays xyz"):
+        read_arrays(tmp_path / "task.arrays", "xyz")
