@@ -80,12 +80,15 @@ def family_of(root: int) -> list[int]:
 
 
 def held_by(process: int) -> int:
-    """Return the bytes that a process holds now, the page cache not counted."""
+    """Return the bytes that a process holds now, the page cache not counted.
+
+    What several processes share, as those forked from one do, counts once in their sum.
+    """
     try:
-        lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="utf-8").splitlines()
     except OSError:
         return 0
-    kinds = ("RssAnon:", "RssShmem:")
+    kinds = ("Pss_Anon:", "Pss_Shmem:")
     return sum(int(line.split()[1]) << 10 for line in lines if line.startswith(kinds))
 
 

@@ -38,7 +38,8 @@ def main() -> None:
         local_workers(arguments.workers, 2 << 30) as executor,
     ):
         WorkFolder(Path(folder), "key").make("empty")
-        client: Any = executor._client
+        on_dask: Any = executor._started.result()  # type: ignore[attr-defined]
+        client = on_dask._client
         begun, most = time.perf_counter(), 0
         for done, _ in enumerate(executor.run(mark_itself, folder, range(arguments.tasks)), 1):
             most = max(most, len(client.futures))
