@@ -10,10 +10,11 @@ from pipeline.map_state import unchanged
 from pipeline.outputs import locked_folder
 from pipeline.plan import check_one_tile, check_plan, is_one_tile, make_plan
 from pipeline.progress import StageObserver
-from pipeline.run import open_job, workers_for
 from pipeline.tiles.cleaning import cut_into_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
+from pipeline.tiles.opening import open_job
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
+from pipeline.workers import workers_for
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 from tiling.survey import survey
 

@@ -6,7 +6,7 @@ of rows; the others by one process, as a stream.
 
 import pickle
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
 from tiling.atomic import atomic_file
-from tiling.formats import MapReader, open_map
+from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parts import PartSummary, PartWriter
 
 BATCH = 500_000
@@ -65,13 +65,20 @@ class OutputPlan:
     mode: str
 
 
-def write_stream(mode: OutputMode, outputs: Sequence[Path], advance: Callable[[int], None]) -> None:
+def write_stream(
+    mode: OutputMode,
+    batches: Iterable[PointBatch],
+    outputs: Sequence[Path],
+    advance: Callable[[int], None],
+) -> None:
     """Write the outputs of one file of the map.
 
     Parameters
     ----------
     mode : OutputMode
         Of the file.
+    batches : iterable of PointBatch
+        The points of the file.
     outputs : sequence of Path
         To be written.
     advance : callable
@@ -83,7 +90,7 @@ def write_stream(mode: OutputMode, outputs: Sequence[Path], advance: Callable[[i
             stack.enter_context(each.writer(path, count))
             for each, path, count in zip(mode.formats, outputs, counts, strict=True)
         ]
-        for batch in mode.reader.batches(BATCH):
+        for batch in batches:
             for writer, records in zip(writers, mode.records(batch), strict=True):
                 writer.write(records)
             advance(len(batch.xyz))

@@ -15,7 +15,7 @@ from pipeline.configuration import load_configuration
 from pipeline.errors import InputChangedError, TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.tiles import stages
+from pipeline.tiles import opening, stages
 from pipeline.tiles.status import status_text
 from tiling.errors import MapFormatError
 
@@ -224,7 +224,7 @@ def test_a_changed_input_configuration_or_version_never_mixes_with_old_work(
         content[200] ^= 1  # a bit of a coordinate
         map_file.write_bytes(content)
     if change == "version":
-        monkeypatch.setattr(run_module, "version", lambda name: "99.0")
+        monkeypatch.setattr(opening, "version", lambda name: "99.0")
     report = cleaned(map_file, interrupted, *CHANGES[change])
     again = list(done_tasks)
     assert [warning for warning in report.warnings if "another map or configuration" in warning]

@@ -1,0 +1,41 @@
+"""What does the tasks of a run: this process, workers of this machine, or a cluster."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pipeline.configuration import Configuration, is_elsewhere
+from pipeline.machine import available_cores
+from pipeline.plan import worker_memory_limit
+from pipeline.tiles.execution import Executor, InProcess, local_workers
+from pipeline.tiles.fork_server import start_fork_server
+from pipeline.tiles.job import Job
+
+
+def prepare_workers(configuration: Configuration) -> None:
+    """Let workers of this machine load what they need while something else is done."""
+    if _are_local(configuration):
+        start_fork_server()
+
+
+def _are_local(configuration: Configuration) -> bool:
+    execution = configuration.execution
+    if is_elsewhere(configuration) or execution.cluster == "none":
+        return False
+    return available_cores(execution.workers) > 1
+
+
+@contextmanager
+def workers_for(job: Job) -> Iterator[Executor]:
+    """Open what does the tasks of a run: this process, workers of this machine, or a cluster."""
+    configuration = job.configuration
+    workers = available_cores(configuration.execution.workers)
+    if is_elsewhere(configuration):
+        from pipeline.cluster.workers import workers_elsewhere  # noqa: PLC0415 (rarely used)
+
+        with workers_elsewhere(configuration, job.root, job.paths) as executor:
+            yield executor
+    elif _are_local(configuration):
+        with local_workers(workers, worker_memory_limit(configuration, workers)) as executor:
+            yield executor
+    else:
+        yield InProcess()

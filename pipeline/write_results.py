@@ -1,0 +1,132 @@
+"""The results of a run: the maps, and a table of what became of each point."""
+
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from dynahull import Label
+from pipeline.configuration import OutputParameters
+from pipeline.errors import LostPointsError
+from pipeline.output_modes import mode_of
+from pipeline.outputs import OutputNames
+from pipeline.progress import StageObserver
+from pipeline.tiles.cleaning import exhaust
+from pipeline.tiles.execution import Executor
+from pipeline.tiles.job import Job
+from pipeline.tiles.stages import do_stage
+from pipeline.tiles.writing import (
+    BATCH,
+    GROWING,
+    check_written,
+    finish_parts,
+    plan_parts,
+    write_stream,
+)
+from tiling.formats import PointBatch
+from tiling.formats.collection import MapCollection
+
+
+def write_maps(
+    collection: MapCollection,
+    output: OutputParameters,
+    labels: NDArray[np.uint8],
+    density: NDArray[np.float64] | None,
+    names: OutputNames,
+    folder: Path,
+    observer: StageObserver,
+    job: Job | None = None,
+    executor: Executor | None = None,
+    read: Callable[[int], Iterable[PointBatch]] | None = None,
+) -> None:
+    """Stream the input once more into its outputs.
+
+    Parameters
+    ----------
+    collection : MapCollection
+    output : OutputParameters
+    labels : (N,) uint8 array
+    density : (N,) float64 array or None
+        There where the outputs are labelled.
+    names : OutputNames
+    folder : Path
+    observer : StageObserver
+    job, executor : Job and Executor, optional
+        Files whose records are of one size are then written by several workers.
+    read : callable, optional
+        Gives the points of a file of the map, `BATCH` at a time; otherwise it is read again.
+
+    Raises
+    ------
+    LostPointsError
+        When the files written do not add up to the input.
+    """
+    outputs = [tuple(folder / name for name in of_file) for of_file in names.by_file]
+    places = [place for of_file in outputs for place in of_file]
+    if len(set(places)) < len(places):
+        twice = next(place for place in places if places.count(place) > 1)
+        raise LostPointsError(f"{twice}: two files of the map would be written here")
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    in_parts = []
+    if job is not None and executor is not None:
+        in_parts = [index for index, each in enumerate(collection.readers) if each.writes_parts]
+        # They grow in the work folder, where a run that goes on finds what is done of them.
+        growing = [tuple(job.root / GROWING / name for name in each) for each in names.by_file]
+        plan = plan_parts(job, in_parts, growing)
+        exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
+        finish_parts(job, plan)
+        for index in in_parts:
+            for grown, place in zip(growing[index], outputs[index], strict=True):
+                grown.replace(place)
+    streams = [index for index in range(len(outputs)) if index not in set(in_parts)]
+    first_rows = [*collection.first_rows, collection.point_count]
+    observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
+    for index in streams:
+        rows = slice(first_rows[index], first_rows[index + 1])
+        densities = None if density is None else density[rows]
+        mode = mode_of(collection.readers[index], output, labels[rows], densities)
+        batches = mode.reader.batches(BATCH) if read is None else read(index)
+        write_stream(mode, batches, outputs[index], observer.advance)
+    for reader, of_file in zip(collection.readers, outputs, strict=True):
+        check_written(reader, of_file)
+
+
+def write_labels(
+    labels: NDArray[np.uint8],
+    cluster: NDArray[np.int32],
+    density: NDArray[np.float64],
+    path: Path,
+) -> None:
+    """Write label, cluster and density of every point, in input order, as Parquet.
+
+    Parameters
+    ----------
+    labels : (N,) uint8 array
+    cluster : (N,) int32 array
+    density : (N,) float64 array
+    path : Path
+    """
+    titles = pa.array([label.title for label in Label])
+    schema = pa.schema(
+        {
+            "label": pa.dictionary(pa.int8(), pa.string()),
+            "cluster": pa.int32(),
+            "density": pa.float64(),
+        }
+    )
+    with ExitStack() as stack:
+        writer = stack.enter_context(pq.ParquetWriter(path, schema, compression="zstd"))
+        for start in range(0, len(labels), BATCH):
+            rows = slice(start, start + BATCH)
+            codes = pa.array(np.asarray(labels[rows]).astype(np.int8))
+            columns = [
+                pa.DictionaryArray.from_arrays(codes, titles),
+                pa.array(np.asarray(cluster[rows])),
+                pa.array(np.asarray(density[rows])),
+            ]
+            writer.write_table(pa.table(columns, schema=schema), row_group_size=BATCH)
