@@ -34,6 +34,15 @@ _BYTES_ON_DISK = 100
 _SCORES_ON_DISK = 40
 """A point of the map: densities, labels, and what else is kept of each row."""
 
+_LABELLED_BYTES = 10
+"""A point of a labelled map, beyond those of the input: label, density, class."""
+
+_TABLE_BYTES = 10
+"""A point in `labels.parquet`: nearly all of it the density, which does not compress."""
+
+_PAGE_BYTES = 6 << 20
+"""Of the report."""
+
 _MICROSECONDS_A_POINT = 8.0
 """Of the core; on one worker of a machine of 2023."""
 
@@ -168,9 +177,22 @@ def make_plan(
         workers=workers,
         worker_memory=_BASE_BYTES + _BYTES_A_POINT * int(gathered.max(initial=0)),
         disk=all_held * _BYTES_ON_DISK + survey.point_count * _SCORES_ON_DISK,
-        output_size=sum(path.stat().st_size for path in collection.paths),
+        output_size=output_size(collection, configuration),
         seconds=seconds / 1e6 / workers,
     )
+
+
+def output_size(collection: MapCollection, configuration: Configuration) -> int:
+    """Return the bytes of the outputs of a run, about: the map again, and more."""
+    output = configuration.output
+    each = 0
+    if output.mode == "label":
+        each += _LABELLED_BYTES
+    if output.labels:
+        each += _TABLE_BYTES
+    page = _PAGE_BYTES if output.report == "html" else 0
+    again = sum(path.stat().st_size for path in collection.paths)
+    return again + each * collection.point_count + page
 
 
 def neighbour_reach(occupancy: Occupancy, k: int) -> float:

@@ -115,15 +115,28 @@ def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Dens
         )
         return np.concatenate([static, dynamic]), labels, None
     path = folder / file["labelled"]
+    return _read_xyz(path), read_labels(path), _read_added(path, DENSITY)
+
+
+def read_labels(path: Path) -> Labels:
+    """Read the labels of a map that a run labelled.
+
+    Raises
+    ------
+    OutputError
+        When it has none, or its format does not give them back.
+    """
+    return _read_added(path, LABEL).astype(np.uint8)
+
+
+def _read_added(path: Path, name: str) -> NDArray[np.float64]:
+    """Read a field that a run added, by the name that it got."""
     names = [field.name for field in open_map(path).description.fields]
+    own = next((each for each in reversed(own_names(name)) if each in names), name)
     try:
-        columns = []
-        for name in (LABEL, DENSITY):
-            own = next((each for each in reversed(own_names(name)) if each in names), name)
-            columns.append(np.concatenate([np.empty(0), *field_values(path, own)]))
+        return np.concatenate([np.empty(0), *field_values(path, own)])
     except MapFormatError as error:
         raise OutputError(f"{error}; run again with --labels, which writes {LABELS_FILE}") from None
-    return _read_xyz(path), columns[0].astype(np.uint8), columns[1]
 
 
 def _read_xyz(path: Path) -> Points:

@@ -32,7 +32,14 @@ from pipeline.outputs import (
     default_folder,
     output_folder,
 )
-from pipeline.plan import check_one_tile, check_plan, check_space, is_one_tile, memory_left
+from pipeline.plan import (
+    check_one_tile,
+    check_plan,
+    check_space,
+    is_one_tile,
+    memory_left,
+    output_size,
+)
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
 from pipeline.report_page.page import render_page
@@ -132,7 +139,7 @@ def run(
     with output_folder(folder, results, paths) as staging, unchanged(paths) as state:
         one_tile = is_one_tile(collection, configuration)
         if one_tile:
-            size = sum(path.stat().st_size for path in paths)
+            size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
         else:
             prepare_workers(configuration)

@@ -55,7 +55,7 @@ def evaluate(inputs: EvaluationInputs, options: EvaluationOptions, observer: Obs
     """
     if options.emd_points:
         transport_library()  # before the work, not after it
-    cleaned = Cloud(inputs.cleaned)
+    cleaned = Cloud(inputs.cleaned, inputs.kept)
     if inputs.original is None:
         assert inputs.truth is not None
         return Figures(compare_geometry(cleaned, Cloud(inputs.truth), options, observer), None)

@@ -20,6 +20,7 @@ from pipeline.evaluation.labels import (
 )
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.outputs import LABELS_FILE, RUN_FILE
+from pipeline.result import read_labels
 from tiling.formats.collection import MapCollection, find_map_files
 
 
@@ -38,6 +39,8 @@ class EvaluationInputs:
         `Truth` of each row of the original, where the user has it.
     removed : (N,) bool array or None
         Rows of the original that the run removed, where its folder says so.
+    kept : (M,) bool array or None
+        Points of `cleaned` that are left, where the run labelled them all (output.mode label).
     """
 
     cleaned: MapCollection
@@ -45,13 +48,18 @@ class EvaluationInputs:
     original: MapCollection | None
     labels: Labels | None
     removed: NDArray[np.bool_] | None
+    kept: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _RunFolder:
-    """The files of a finished run: the static map, the map it was given, and its labels."""
+    """The files of a finished run: what it cleaned, the map it was given, and its labels.
 
-    static: tuple[Path, ...]
+    What it cleaned is the static map; with output.mode label, the whole map and its labels.
+    """
+
+    cleaned: tuple[Path, ...]
+    labelled: bool
     originals: tuple[Path, ...]
     labels: Path
 
@@ -81,7 +89,8 @@ def find_inputs(
     ConfigurationError, EvaluationError, TilingError
     """
     run = _read_run(Path(cleaned))
-    cleaned_map = MapCollection(run.static if run else find_map_files([cleaned]))
+    cleaned_map = MapCollection(run.cleaned if run else find_map_files([cleaned]))
+    kept = _kept_rows(run) if run and run.labelled else None
     dynamic = parse_values("--dynamic", options.dynamic)
     unlabelled = parse_values("--unlabelled", options.unlabelled)
     labels: Labels | None = None
@@ -106,8 +115,8 @@ def find_inputs(
     else:
         truth_map = MapCollection(find_map_files([truth]))
         original_map = _original(original, run)
-    removed = _removed_rows(run, original_map) if run and original_map else None
-    return EvaluationInputs(cleaned_map, truth_map, original_map, labels, removed)
+    removed = _removed_rows(run, kept, original_map) if run and original_map else None
+    return EvaluationInputs(cleaned_map, truth_map, original_map, labels, removed, kept)
 
 
 def _read_run(folder: Path) -> _RunFolder | None:
@@ -116,13 +125,9 @@ def _read_run(folder: Path) -> _RunFolder | None:
         return None
     try:
         files = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))["files"]
-        if any(file.get("labelled") for file in files):
-            raise EvaluationError(
-                f"{folder}: expected a run with output.mode split, whose static map is a file of "
-                "its own, found one with output.mode label"
-            )
         return _RunFolder(
-            static=tuple(folder / file["static"] for file in files),
+            cleaned=tuple(folder / (file.get("labelled") or file["static"]) for file in files),
+            labelled=any(file.get("labelled") for file in files),
             originals=tuple(Path(file["path"]) for file in files),
             labels=folder / LABELS_FILE,
         )
@@ -141,9 +146,20 @@ def _original(original: str | None, run: _RunFolder | None) -> MapCollection | N
     return None
 
 
-def _removed_rows(run: _RunFolder, original: MapCollection) -> NDArray[np.bool_] | None:
+def _kept_rows(run: _RunFolder) -> NDArray[np.bool_]:
+    """Return which points of the labelled maps of a run are not called dynamic."""
+    return np.concatenate([read_labels(path) != Label.DYNAMIC for path in run.cleaned])
+
+
+def _removed_rows(
+    run: _RunFolder, kept: NDArray[np.bool_] | None, original: MapCollection
+) -> NDArray[np.bool_] | None:
     """Return which rows the run removed; None if it kept no labels or cleaned another map."""
-    if not run.labels.is_file() or not _same_files(run.originals, original.paths):
+    if not _same_files(run.originals, original.paths):
+        return None
+    if kept is not None and len(kept) == original.point_count:
+        return ~kept
+    if not run.labels.is_file():
         return None
     label = pq.read_table(run.labels, columns=["label"]).column(0)
     removed = pc.equal(label.cast("string"), Label.DYNAMIC.title)

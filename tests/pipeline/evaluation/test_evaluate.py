@@ -183,6 +183,22 @@ def test_the_folder_of_a_run_is_a_cleaned_map(scene):
     assert "no longer there" in report.warnings[0]
 
 
+def test_a_labelled_map_is_evaluated_as_the_static_one_is(scene):
+    settings = ["ground.method=none", "neighbours.k=20", "clustering.count=1"]
+    found = {}
+    for mode in ("split", "label"):
+        configuration = load_configuration(None, [*settings, f"output.mode={mode}"])
+        run([scene / "labelled.laz"], scene / mode, configuration, StageObserver(LogDisplay()))
+        found[mode], _ = figures_of(scene / mode, scene / "static.npy")
+    for name in ("confusion", "accuracy", "preservation"):
+        one, other = (getattr(found[mode].scores, name) for mode in ("label", "split"))
+        assert one == other
+    assert found["label"].scores.confusion.true_positives > 0
+    assert found["label"].geometry == found["split"].geometry
+    (scene / "labelled.laz").unlink()  # the input is not needed for distances
+    assert figures_of(scene / "label", scene / "static.npy")[0].geometry == found["split"].geometry
+
+
 def test_the_command_prints_and_writes_all_figures(scene):
     command = [
         *COMMAND, "cleaned.npy", "--truth", "labelled.laz", "--labels", "user_data",
