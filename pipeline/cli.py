@@ -9,16 +9,20 @@ from typing import Annotated, NoReturn, TextIO
 
 import typer
 
-from pipeline.cluster.commands import (
-    TLS,
-    ClusterName,
-    cancel_command,
-    cluster_settings,
-    submit_command,
-)
+from pipeline.cluster.commands import cancel_command, submit_command
 from pipeline.evaluation.command import evaluate_command
 from pipeline.nightly.command import nightly_command
-from pipeline.options import ConfigurationSource, Maps, Output, Settings
+from pipeline.options import (
+    TLS,
+    ClusterName,
+    ConfigurationSource,
+    Maps,
+    Output,
+    Scheduler,
+    Settings,
+    check_encryption,
+    worker_settings,
+)
 from pipeline.preview_command import preview_command
 from pipeline.tiles.commands import (
     clean_command,
@@ -99,10 +103,7 @@ def run_command(
         bool,
         typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
     ] = False,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler."),
-    ] = None,
+    scheduler: Scheduler = None,
     cluster: ClusterName = None,
     tls: TLS = False,
 ) -> None:
@@ -110,20 +111,18 @@ def run_command(
 
     A run that was interrupted goes on where it was when the same command is given again.
     """
-    from pipeline.configuration import is_elsewhere, load_configuration  # noqa: PLC0415
+    from pipeline.configuration import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.run import run  # noqa: PLC0415
 
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
-    wanted += [f"execution.scheduler={scheduler}"] if scheduler else []
-    wanted += cluster_settings(cluster, tls)
+    wanted += worker_settings(scheduler, cluster, tls)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
-    if tls and not is_elsewhere(configuration):
-        raise ConfigurationError("--tls: expected --cluster or --scheduler with it, found neither")
+    check_encryption(configuration, tls)
     with watching() as observer:
         report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())

@@ -5,26 +5,15 @@ from typing import Annotated
 
 import typer
 
-from pipeline.options import ConfigurationSource, Maps, Output, Settings
-
-ClusterName = Annotated[
-    str | None,
-    typer.Option(
-        "--cluster",
-        metavar="NAME",
-        help="Workers are jobs of a batch system: slurm, pbs, lsf, sge or htcondor.",
-    ),
-]
-TLS = Annotated[
-    bool,
-    typer.Option("--tls", help="Encrypt between scheduler, workers and run (cluster.tls)."),
-]
-
-
-def cluster_settings(cluster: str | None, tls: bool) -> list[str]:
-    """Return the options about clusters as settings of the configuration."""
-    settings = [f"execution.cluster={cluster}"] if cluster else []
-    return settings + (["cluster.tls.enabled=true"] if tls else [])
+from pipeline.options import (
+    TLS,
+    ClusterName,
+    ConfigurationSource,
+    Maps,
+    Output,
+    Settings,
+    worker_settings,
+)
 
 
 def submit_command(
@@ -49,7 +38,7 @@ def submit_command(
 
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    wanted = [*(settings or []), *cluster_settings(cluster, tls)]
+    wanted = [*(settings or []), *worker_settings(None, cluster, tls)]
     configuration = load_configuration(config, wanted)
     place = Path(output) if output else None
     if dry_run:

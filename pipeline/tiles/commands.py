@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from pipeline.options import ConfigurationSource, Maps, Settings
+from pipeline.options import (
+    TLS,
+    ClusterName,
+    ConfigurationSource,
+    Maps,
+    Scheduler,
+    Settings,
+    check_encryption,
+    worker_settings,
+)
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")]
 
@@ -37,13 +46,18 @@ def tile_command(
     ],
     config: ConfigurationSource = None,
     settings: Settings = None,
+    scheduler: Scheduler = None,
+    cluster: ClusterName = None,
+    tls: TLS = False,
 ) -> None:
     """Cut a map into tiles with halos: a file each, Parquet or LAS (--set tiling.format=las)."""
     from pipeline.configuration import load_configuration  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.tiles.planning import tile_map  # noqa: PLC0415
 
-    configuration = load_configuration(config, settings or [])
+    wanted = [*(settings or []), *worker_settings(scheduler, cluster, tls)]
+    configuration = load_configuration(config, wanted)
+    check_encryption(configuration, tls)
     with watching() as observer:
         tiles = tile_map(maps, output, configuration, observer)
     typer.echo(f"written: {tiles} tiles in {output / 'chunks'}, described in store.json")

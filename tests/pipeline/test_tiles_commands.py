@@ -15,6 +15,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from distributed import LocalCluster
 
 from pipeline import cli
 from pipeline.configuration import load_configuration
@@ -32,6 +33,7 @@ SMALL = [
     "execution.workers=1",
 ]
 WORK = ".dynahull-work"
+TLS_ALONE = "error: --tls: expected --cluster or --scheduler with it, found neither"
 PROJECT = Path(__file__).resolve().parents[2]
 
 
@@ -194,6 +196,17 @@ class TestTile:
         np.testing.assert_array_equal(xyz, points[rows])
         assert not core.all()
 
+    def test_a_plan_counts_what_is_added_to_the_points(self, map_file, call):
+        plain, labelled, table = (
+            figures(
+                call("plan", map_file, wanted=[*SMALL, f"output.{added}", "output.report=none"])[1]
+            )
+            for added in ("mode=split", "mode=label", "labels=true")
+        )
+        assert plain["outputs"] == f"about {map_file.stat().st_size / 1024:.1f} KiB"
+        more = map_file.stat().st_size + 10 * 1001
+        assert labelled["outputs"] == table["outputs"] == f"about {more / 1024:.1f} KiB"
+
     def test_chunks_hold_every_point_once(self, map_file, tmp_path, call):
         code, text, _ = call("tile", map_file, "-o", "chunks of it")
         assert code == 0
@@ -218,6 +231,21 @@ class TestTile:
                 np.load(map_file)[:, :2] < high + 0.5
             )
             np.testing.assert_array_equal(rows[number], np.flatnonzero(around.all(axis=1)))
+
+    def test_workers_elsewhere_cut_the_same_chunks(self, map_file, tmp_path, call):
+        assert call("tile", map_file, "-o", "here")[0] == 0
+        nothing_else = {"dashboard_address": "127.0.0.1:0"}
+        with LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None,
+            scheduler_kwargs=nothing_else,
+        ) as cluster:  # fmt: skip
+            there = ["-o", "there", "--scheduler", cluster.scheduler_address]
+            assert call("tile", map_file, *there)[0] == 0
+        here, there = (sorted((tmp_path / name / "chunks").iterdir()) for name in ("here", "there"))
+        assert [path.read_bytes() for path in here] == [path.read_bytes() for path in there]
+        code, _, errors = call("tile", map_file, "-o", "secret", "--tls")
+        assert (code, errors) == (2, [TLS_ALONE])
+        assert call("run", map_file, "-o", "secret", "--tls")[2] == errors
 
     @pytest.mark.parametrize("chunk_format", ["las", "laz"])
     def test_las_chunks_are_read_by_other_tools(self, chunk_format, tmp_path, call):
