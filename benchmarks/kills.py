@@ -48,7 +48,7 @@ def main() -> None:
         same = True
         done: dict[str, int] = {}
         while kills < arguments.kills or not ended:
-            moment = random.uniform(0.15, 0.45) * seconds if kills < arguments.kills else 1e6
+            moment = random.uniform(0.3, 0.8) * seconds if kills < arguments.kills else 1e6
             killed_it = run_for(moment, [*command, "-o", str(killed)])
             if killed_it and not (killed / "run.json").exists():
                 stages[stage_of(killed)] += 1

@@ -43,7 +43,8 @@ app = typer.Typer(
     name="dynahull-pipeline",
     help="Remove the ghosts of moving things from a finished LiDAR map (DynaHull, arXiv "
     "2401.07541).",
-    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 a map cannot be read.",
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 a map cannot be read, "
+    "130 interrupted; `nightly` has more, see its help.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
