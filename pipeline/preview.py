@@ -299,11 +299,14 @@ def _preview_folder(paths: Sequence[Path]) -> Path:
 
 def _description(part: _Part, window: Window, collection: MapCollection) -> str:
     """Say what was cleaned, and what of it does not hold for the whole map."""
-    where = "the whole map" if window == WHOLE else f"the window {window}"
+    where, rim = "the whole map", ""
+    if window != WHOLE:
+        where = f"the window {window}"
+        rim = ", and what is at its rim lacks what lies beyond"
     thinned = ""
     if part.count < part.inside:
         thinned = f", thinned from {part.inside:,}, so that densities are lower than the map's"
     return (
         f"preview of {collection.name}: {part.count:,} of its {collection.point_count:,} points, "
-        f"{where}{thinned}; clusters, and with them R_i, are those of this part"
+        f"{where}{thinned}; clusters, and with them R_i, are those of this part{rim}"
     )
