@@ -1,6 +1,6 @@
 """Measure survey, pieces, chunks and the reading of chunks of a map: time a point and memory.
 
-    python benchmarks/chunks.py MAP [--max-points 1000000] [--halo 2] [--format parquet]
+    python -m benchmarks.chunks MAP [--max-points 1000000] [--halo 2] [--format parquet]
 
 Times include the reading of the map, which is given too. The memory is the peak of the process.
 """
@@ -9,7 +9,9 @@ import argparse
 import resource
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from tiling.chunk_store import ChunkStore
 from tiling.chunks import assemble, read_chunk
@@ -18,6 +20,8 @@ from tiling.grid import grid_of
 from tiling.layout import quadtree
 from tiling.pieces import write_pieces
 from tiling.survey import survey
+
+Answer = TypeVar("Answer")
 
 ROWS_IN_A_PIECE = 2_500_000
 
@@ -33,7 +37,7 @@ def main() -> None:
     collection = MapCollection(find_map_files(arguments.map))
     count = collection.point_count
 
-    def timed(name, work):
+    def timed(name: str, work: Callable[[], Answer]) -> Answer:
         start = time.perf_counter()
         result = work()
         microseconds = (time.perf_counter() - start) / count * 1e6

@@ -23,6 +23,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import median
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ from dynahull.kernels.tree import LEAF_SIZE, make_tree
 from tiling.formats import open_map
 
 Points = NDArray[np.float64]
+Answer = TypeVar("Answer")
 
 K = 75
 ROUNDS = 7
@@ -118,7 +120,7 @@ def simulated(count: int) -> Points:
     sides = np.eye(3)[random.permuted(np.tile([0, 1, 2], (surfaces, 1)), axis=1)[:, :2]]
     which = random.integers(0, surfaces, count)
     along = random.random((count, 2)) * np.sqrt(count / surfaces / 5_000)
-    points = corner[which] + np.einsum("ni,nij->nj", along, sides[which])
+    points: Points = corner[which] + np.einsum("ni,nij->nj", along, sides[which])
     return points + random.normal(scale=0.005, size=points.shape)
 
 
@@ -184,7 +186,7 @@ class Kernel:
         self.compiled.solve(self.tree, K, self.first, self.end, self.wanted, self.room, results)
 
 
-def timed(work: Callable[[], object]) -> tuple[object, float]:
+def timed(work: Callable[[], Answer]) -> tuple[Answer, float]:
     """Return what some work gives, and the seconds of processor time that it takes."""
     begin = time.process_time()
     result = work()
@@ -206,7 +208,7 @@ def peers(points: Points) -> dict[str, tuple[Callable[[Points], object], float]]
     """Return the other libraries' queries for neighbours, and their seconds to build a tree."""
     found: dict[str, tuple[Callable[[Points], object], float]] = {}
 
-    def add(name: str, build: Callable[[], object], query: Callable[[object, Points], object]):
+    def add(name: str, build: Callable[[], object], query: Callable[[Any, Points], object]) -> None:
         module = name.partition(" ")[2].strip("()") or name
         if find_spec(module.partition(".")[0]) is None:
             print(f"  {name}: skipped, not installed")
@@ -275,8 +277,10 @@ def two_processes(count: int, rounds: int) -> float:
             for _ in range(processes)
         ]
         for each in started:
+            assert each.stdout is not None  # a pipe
             each.stdout.readline()
         for each in started:
+            assert each.stdin is not None  # a pipe
             each.stdin.write("go\n")
             each.stdin.flush()
         return max(float(each.communicate()[0]) for each in started)

@@ -1,6 +1,6 @@
 """The ground step measured side by side: `slope` and `csf`, on simulated and on real maps.
 
-Run `python benchmarks/ground.py [--data FOLDER] [--only airborne]`. Real maps are read from
+Run `python -m benchmarks.ground [--data FOLDER] [--only airborne]`. Real maps are read from
 `../shared/data` beside the project; where it is absent only the simulated building is measured.
 `csf` is given settings that suit the map, on airborne scans the best of a search; `slope` has
 one setting for buildings and streets (its defaults) and one for airborne scans
@@ -9,7 +9,6 @@ one setting for buildings and streets (its defaults) and one for airborne scans
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from itertools import product
@@ -19,23 +18,13 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # csf on one core, as `slope` and a worker are
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
-
-from building import Building, simulate_building  # noqa: E402
-
-from dynahull.ground import (  # noqa: E402
-    ClothParameters,
-    GroundParameters,
-    ground_mask,
-    ground_radius,
-)
+from benchmarks.building import Building, simulate_building
+from dynahull.ground import ClothParameters, GroundParameters, ground_mask, ground_radius
 
 Floats = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
+ROOT = Path(__file__).resolve().parents[1]
 DEFAULT = GroundParameters()
 OUTDOOR = GroundParameters.model_validate(
     yaml.safe_load((ROOT / "configs/outdoor.yaml").read_text())["ground"]
@@ -51,7 +40,7 @@ def cloth(resolution: float, rigidness: int, threshold: float, smooth: bool) -> 
         method="csf",
         csf=ClothParameters(
             cloth_resolution=resolution,
-            rigidness=rigidness,  # type: ignore[arg-type]
+            rigidness=rigidness,
             class_threshold=threshold,
             slope_smooth=smooth,
         ),
@@ -277,6 +266,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=ROOT / "../shared/data")
     parser.add_argument("--only", choices=("airborne",), help="measure nothing else")
     options = parser.parse_args()
+    # csf, which is loaded when it is first used, on one core, as `slope` and a worker are.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     data: Path = options.data
     print(
         f"radius: defaults {ground_radius(DEFAULT):.2f} m, outdoor {ground_radius(OUTDOOR):.2f} m"

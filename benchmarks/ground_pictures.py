@@ -1,6 +1,6 @@
 """Draw the pictures of docs/ground.md: what the defaults call ground in real maps, in green.
 
-Run `python benchmarks/ground_pictures.py [--data FOLDER] [--out FOLDER]`.
+Run `python -m benchmarks.ground_pictures [--data FOLDER] [--out FOLDER]`.
 """
 
 import argparse
@@ -8,14 +8,11 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-
-mpl.use("Agg")
-
-from building import simulate_building
-from ground import DEFAULT, ROOT, Booleans, Floats, load
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
+from benchmarks.building import simulate_building
+from benchmarks.ground import DEFAULT, ROOT, Booleans, Floats, load
 from dynahull.ground import ground_mask
 
 MAPS = {
@@ -58,6 +55,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=ROOT / "../shared/data")
     parser.add_argument("--out", type=Path, default=ROOT / "docs/images")
     options = parser.parse_args()
+    mpl.use("Agg")
     options.out.mkdir(parents=True, exist_ok=True)
     building = simulate_building(1, ramp_slope=0.15)
     mask = ground_mask(building.points, DEFAULT)

@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.density import machine
 from benchmarks.whole_run import COMMAND, ONE_TILE
 
-CUTS = {
+CUTS: dict[str, list[list[str]]] = {
     "corridor.pcd": [
         ["tiling.max_points=2000"],
         ["tiling.max_points=2000", "tiling.halo=0.1", "execution.cluster=none"],

@@ -56,7 +56,7 @@ def compare(points: NDArray[np.float64], count: int) -> tuple[int, int, float]:
     rows = np.arange(len(points))
     chosen = np.random.default_rng(0).choice(len(points), min(count, len(points)), replace=False)
     density = hull_densities(points, rows, K, queries=np.isin(rows, chosen)).density
-    distance, neighbours = KDTree(points).query(points[chosen], K + 1)
+    distance, neighbours = map(np.asarray, KDTree(points).query(points[chosen], K + 1))
     tie_free = distance[:, K - 1] * (1 + 1e-9) < distance[:, K]
     compared, flat, worst = 0, 0, 0.0
     for at, around in zip(chosen[tie_free], neighbours[tie_free, :K], strict=True):

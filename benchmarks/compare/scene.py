@@ -84,7 +84,7 @@ class Scene:
         """Return a hash of all that a method is given, and of the labels."""
         told = blake2b(f"{self.name} {self.ring_spacing}".encode(), digest_size=16)
         for array in (self.xyz, self.labels, self.scan, self.poses):
-            told.update(np.ascontiguousarray(array))
+            told.update(np.ascontiguousarray(array).data)
         return told.hexdigest()
 
     def write(self, path: Path) -> None:

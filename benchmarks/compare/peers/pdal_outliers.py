@@ -35,7 +35,8 @@ def _load() -> Removal:
             _write(scene.xyz, before)
             command = [program, "translate", str(before), str(after), "outlier"]
             subprocess.run(command, check=True, capture_output=True)
-            return np.asarray(laspy.read(after).classification) == _NOISE
+            classes = np.asarray(laspy.read(after).classification)
+            return np.asarray(classes == _NOISE, dtype=np.bool_)
 
     return remove
 
