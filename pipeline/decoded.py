@@ -1,10 +1,11 @@
 """A map in memory: its points, and as much of it as was decoded, which need not be done again."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.progress import StageObserver
 from pipeline.tiles.writing import BATCH
@@ -18,53 +19,70 @@ _OBJECT_BYTES = 60
 """Of a row of text beside its characters."""
 
 
+@dataclass(frozen=True, slots=True)
 class DecodedMap:
-    """The points of a map; where decoding takes long, its records as well, if they are not many.
+    """The points of a map, and its records where they were kept.
+
+    Attributes
+    ----------
+    collection : MapCollection
+    points : (N, 3) float64 array
+    classification : (N,) uint8 array or None
+        Where all files have classes.
+    kept : tuple of (int, PointBatch)
+        All batches of the map, each after the file that it comes from; or none.
+    """
+
+    collection: MapCollection
+    points: NDArray[np.float64]
+    classification: NDArray[np.uint8] | None
+    kept: tuple[tuple[int, PointBatch], ...]
+
+    def batches(self, file: int) -> Iterator[PointBatch]:
+        """Yield the points of a file of the map, as its reader does."""
+        if not self.kept:
+            yield from self.collection.readers[file].batches(BATCH)
+        for of_file, batch in self.kept:
+            if of_file == file:
+                first_row = batch.first_row - self.collection.first_rows[file]
+                yield replace(batch, first_row=first_row)
+
+
+def read_map(collection: MapCollection, most_kept: int, observer: StageObserver) -> DecodedMap:
+    """Read the points of a map; keep its records if decoding takes long and they are not many.
 
     Parameters
     ----------
     collection : MapCollection
     most_kept : int
-        Bytes of records that may be kept. If they are more, all are read again.
+        Bytes of records that may be kept. If they are more, none is.
     observer : StageObserver
         Told of the reading.
 
-    Attributes
-    ----------
-    points : (N, 3) float64 array
-    classification : (N,) uint8 array or None
-        Where all files have classes.
+    Raises
+    ------
+    MapFormatError
+        When a file is not what its header announced.
     """
-
-    def __init__(self, collection: MapCollection, most_kept: int, observer: StageObserver) -> None:
-        self._collection = collection
-        count = collection.point_count
-        observer.stage("reading", count)
-        self.points = np.empty((count, 3))
-        classified = collection.has_classification
-        self.classification = np.zeros(count, np.uint8) if classified else None
-        self._kept: list[tuple[int, PointBatch]] = []
-        left = 0 if all(reader.writes_parts for reader in collection.readers) else most_kept
-        for file, batch in collection.batches(BATCH):
-            rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
-            self.points[rows] = batch.xyz
-            if self.classification is not None and batch.classification is not None:
-                self.classification[rows] = batch.classification
-            left -= _size_of(batch.records)
-            if left >= 0:
-                self._kept.append((file, replace(batch, xyz=self.points[rows])))
-            else:
-                self._kept.clear()
-            observer.advance(len(batch.xyz))
-
-    def batches(self, file: int) -> Iterator[PointBatch]:
-        """Yield the points of a file of the map, as its reader does."""
-        if not self._kept:
-            yield from self._collection.readers[file].batches(BATCH)
-        for of_file, batch in self._kept:
-            if of_file == file:
-                first_row = batch.first_row - self._collection.first_rows[file]
-                yield replace(batch, first_row=first_row)
+    count = collection.point_count
+    observer.stage("reading", count)
+    points = np.empty((count, 3))
+    classes = np.zeros(count, np.uint8) if collection.has_classification else None
+    kept: list[tuple[int, PointBatch]] = []
+    # Where the bytes of a file are its records, they are as soon read again.
+    left = 0 if all(reader.writes_parts for reader in collection.readers) else most_kept
+    for file, batch in collection.batches(BATCH):
+        rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
+        points[rows] = batch.xyz
+        if classes is not None and batch.classification is not None:
+            classes[rows] = batch.classification
+        left -= _size_of(batch.records)
+        if left >= 0:
+            kept.append((file, replace(batch, xyz=points[rows])))
+        else:
+            kept.clear()
+        observer.advance(len(batch.xyz))
+    return DecodedMap(collection, points, classes, tuple(kept))
 
 
 def _size_of(records: Any) -> int:

@@ -18,7 +18,7 @@ from dynahull.errors import MissingClassificationError
 from dynahull.loading import load_libraries
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
-from pipeline.decoded import MOST_KEPT, DecodedMap
+from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.errors import OutputError
 from pipeline.machine import available_cores
 from pipeline.map_state import unchanged
@@ -188,7 +188,7 @@ def clean_in_memory(
     # Reading leaves this process time to load what the method needs.
     Thread(target=load_libraries, daemon=True).start()
     most_kept = min(MOST_KEPT, memory_left(collection, configuration) // 2)
-    decoded = DecodedMap(collection, most_kept, observer)
+    decoded = read_map(collection, most_kept, observer)
     result = clean(
         decoded.points,
         configuration.method(),

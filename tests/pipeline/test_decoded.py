@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline import decoded
-from pipeline.decoded import DecodedMap
+from pipeline.decoded import read_map
 from pipeline.progress import LogDisplay, StageObserver
 from tiling.formats.collection import MapCollection
 from tiling.formats.npz import NpzReader
@@ -40,7 +40,7 @@ def collection(tmp_path):
 
 @pytest.mark.parametrize(("most_kept", "again"), [(1 << 20, 0), (700 * 20, 2), (0, 2)])
 def test_both_files_come_back_as_their_readers_give_them(collection, readings, most_kept, again):
-    read = DecodedMap(collection, most_kept, StageObserver(LogDisplay()))
+    read = read_map(collection, most_kept, StageObserver(LogDisplay()))
     assert read.points.tobytes() == POINTS.tobytes()
     assert read.classification is None
     readings.clear()
@@ -56,8 +56,8 @@ def test_both_files_come_back_as_their_readers_give_them(collection, readings, m
 def test_maps_whose_bytes_are_the_records_are_not_kept(tmp_path):
     np.save(tmp_path / "map.npy", POINTS)
     collection = MapCollection([tmp_path / "map.npy"])
-    read = DecodedMap(collection, 1 << 20, StageObserver(LogDisplay()))
-    assert not read._kept
+    read = read_map(collection, 1 << 20, StageObserver(LogDisplay()))
+    assert not read.kept
     assert sum(len(batch.xyz) for batch in read.batches(0)) == 700
 
 
