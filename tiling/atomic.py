@@ -1,9 +1,10 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and files that several processes fill in."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 TEMPORARY = ".part"
@@ -44,3 +45,13 @@ def _flush(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def write_only(path: Path) -> BinaryIO:
+    """Open a file that is there to write bytes anywhere in it, beside other processes.
+
+    Not to be read from: NFS then sends the very bytes that were written. Of a file that may be
+    read as well it reads, and later writes back, whole pages, and so undoes what other machines
+    wrote there.
+    """
+    return os.fdopen(os.open(path, os.O_WRONLY), "wb")

@@ -6,7 +6,7 @@ side by side, even where those of the map cannot.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.atomic import write_only
 from tiling.errors import ChunkError
 from tiling.formats.base import PointBatch
 
@@ -42,7 +43,7 @@ class KeptCoordinates:
 
     def keep(self, batches: Iterator[PointBatch]) -> Iterator[PointBatch]:
         """Write the coordinates of batches as they pass; they are on the disk at the end."""
-        with self._opened("r+b") as stream:
+        with self._opened(write_only) as stream:
             for batch in batches:
                 stream.seek(batch.first_row * _POINT_BYTES)
                 stream.write(np.ascontiguousarray(batch.xyz).data)
@@ -58,7 +59,7 @@ class KeptCoordinates:
         ChunkError
             When the file is not there, or not of its size.
         """
-        with self._opened("rb") as stream:
+        with self._opened(lambda path: path.open("rb")) as stream:
             stream.seek(rows.start * _POINT_BYTES)
             for first in range(rows.start, rows.stop, max_points):
                 yield (
@@ -74,11 +75,11 @@ class KeptCoordinates:
         return xyz.reshape(-1, 3)
 
     @contextmanager
-    def _opened(self, mode: str) -> Iterator[BinaryIO]:
+    def _opened(self, how: Callable[[Path], BinaryIO]) -> Iterator[BinaryIO]:
         try:
-            stream = self.path.open(mode)
+            stream = how(self.path)
         except FileNotFoundError:
             expected = f"coordinates of {self.point_count} points"
             raise ChunkError(self.path, expected, "no such file") from None
         with stream:
-            yield stream  # type: ignore[misc]
+            yield stream

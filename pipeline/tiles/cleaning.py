@@ -14,7 +14,7 @@ from dynahull.algorithm import warn_of_clusters
 from dynahull.clustering import fit_clusters, sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
-from dynahull.result import NO_CLUSTER, ClusterSummary
+from dynahull.result import ClusterSummary
 from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
@@ -23,7 +23,7 @@ from pipeline.tiles.cutting import make_copies
 from pipeline.tiles.execution import Executor, LightTasks
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
-from pipeline.tiles.rows import make_rows
+from pipeline.tiles.row_results import RowResults
 from pipeline.tiles.scoring import first_cluster, save_cuts, scored_points
 from pipeline.tiles.stages import do_stage
 from pipeline.tiles.work import TaskReport, remove_work
@@ -73,10 +73,11 @@ def clean_tiles(
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     percentages, cuts = _rescaled(job, counts, observer)
-    _make_results(job)
-    labelled = _Labelled(job)
+    labelled, results = _Labelled(job), RowResults(job)
     for tile, report in do_stage(job, executor, observer, "label", tiles):
         labelled.add(tile, report)
+        results.add(tile)
+    results.flush()
     return labelled.result(counts, percentages, cuts)
 
 
@@ -203,14 +204,6 @@ def _rescaled(
     )
     save_cuts(job, present, cuts)
     return percentages, cuts
-
-
-def _make_results(job: Job) -> None:
-    count = job.collection.point_count
-    make_rows(job.rows_path("label"), count, np.uint8, Label.INVALID)
-    if job.configuration.output.needs_scores:
-        make_rows(job.rows_path("cluster"), count, np.int32, NO_CLUSTER)
-        make_rows(job.rows_path("density"), count, np.float64, np.nan)
 
 
 class _Labelled:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline.tiles.job import Job
-from pipeline.tiles.rows import make_rows, open_rows
+from pipeline.tiles.rows import make_rows, write_rows
 from pipeline.tiles.work import TaskReport
 from tiling.chunks import assemble
 from tiling.formats.base import PointBatch
@@ -36,14 +36,10 @@ def survey_rows(job: Job, number: int) -> TaskReport:
 
 
 def _classes_kept(job: Job, batches: Iterator[PointBatch]) -> Iterator[PointBatch]:
-    classes = open_rows(job.rows_path("class"), np.uint8, "r+")
     for batch in batches:
         if batch.classification is not None:
-            last = batch.first_row + len(batch.xyz)
-            classes[batch.first_row : last] = batch.classification
+            write_rows(job.rows_path("class"), batch.first_row, batch.classification)
         yield batch
-    if isinstance(classes, np.memmap):
-        classes.flush()
 
 
 def cut_rows(job: Job, number: int) -> TaskReport:

@@ -1,10 +1,13 @@
 """One value for each row of the map, in a file that many tasks fill in: labels, densities."""
 
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+
+from tiling.atomic import write_only
 
 _AT_A_TIME = 1 << 22
 
@@ -27,3 +30,12 @@ def open_rows(path: Path, dtype: DTypeLike, mode: str = "r") -> NDArray[Any]:
     if path.stat().st_size == 0:
         return np.empty(0, dtype)
     return np.memmap(path, dtype, mode=mode)  # type: ignore[call-overload, no-any-return]
+
+
+def write_rows(path: Path, first_row: int, values: NDArray[Any]) -> None:
+    """Write values of consecutive rows to the disk; other processes may write others."""
+    with write_only(path) as stream:
+        stream.seek(first_row * values.itemsize)
+        stream.write(np.ascontiguousarray(values).data)
+        stream.flush()
+        os.fsync(stream.fileno())

@@ -7,7 +7,6 @@ from pipeline.report_page.sample import ARRAY_NAMES, MapSample, is_sampled
 from pipeline.report_page.tile_chart import TileWork
 from pipeline.tiles.ground import SHOWN_NAMES
 from pipeline.tiles.job import JOB_FILE, Job
-from pipeline.tiles.rows import open_rows
 from pipeline.tiles.scoring import first_cluster, scored_points
 from pipeline.tiles.work import TaskReport
 
@@ -25,7 +24,9 @@ def sample_tile(job: Job, tile: int) -> TaskReport:
     place = np.searchsorted(rows, scored.rows[wanted])  # rows are in order
     cluster[place] = scored.cluster[wanted] + first_cluster(job, tile)
     density[place] = scored.density[wanted]
-    labels = open_rows(job.rows_path("label"), np.uint8)[rows]
+    (core_rows,) = job.work.load("ground", tile, "core_rows")
+    (labels,) = job.work.load("label", tile, "label")
+    labels = labels[np.searchsorted(core_rows, rows)]
     sample = MapSample(total, rows, xyz, labels, cluster, density)
     job.work.save("sample", tile, **sample.to_arrays())
     return TaskReport(int(job.store.layout.counts[tile]))

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from pipeline.tiles.ground import (
     region_of,
 )
 from pipeline.tiles.job import Job
-from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
 
 CUTS_FILE = "cuts.json"
@@ -106,7 +106,7 @@ def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
 
 
 def label_tile(job: Job, tile: int) -> TaskReport:
-    """Write the labels of a tile's core to their rows, and cluster and density if wanted.
+    """Label the points of a tile's core; keep the labels, and clusters and densities if wanted.
 
     The report counts the points of each label, then those removed from each cluster.
     """
@@ -122,17 +122,16 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         dynamic = cut.dynamic(scored.density[members], scored.rows[members])
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
-    _put(job, "label", np.uint8, core_rows, labels)
+    kept: dict[str, NDArray[Any]] = {"label": labels}
     if job.configuration.output.needs_scores:
-        cluster_of = np.full(len(core_rows), NO_CLUSTER, np.int32)
-        cluster_of[place] = scored.cluster + first_cluster(job, tile)
-        density_of = np.full(len(core_rows), np.nan)
-        density_of[place] = scored.density
-        _put(job, "cluster", np.int32, core_rows, cluster_of)
-        _put(job, "density", np.float64, core_rows, density_of)
+        kept["cluster"] = np.full(len(core_rows), NO_CLUSTER, np.int32)
+        kept["cluster"][place] = scored.cluster + first_cluster(job, tile)
+        kept["density"] = np.full(len(core_rows), np.nan)
+        kept["density"][place] = scored.density
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
-        job.work.save("label", tile, thresholds=np.array(limits))
+        kept["thresholds"] = np.array(limits)
+    job.work.save("label", tile, **kept)
     found = np.bincount(labels, minlength=len(Label)).tolist()
     return TaskReport(len(core_rows), (*found, *removed))
 
@@ -160,16 +159,3 @@ def tile_percentages(job: Job, counts: list[int], extremes: list[int]) -> Sequen
     removal = job.configuration.removal
     together = removal_percentages([*counts, *extremes], removal.min_percent, removal.max_percent)
     return together[: len(counts)]
-
-
-def _put(
-    job: Job,
-    name: str,
-    kind: type[np.generic],
-    rows: NDArray[np.int64],
-    values: NDArray[np.generic],
-) -> None:
-    file = open_rows(job.rows_path(name), kind, "r+")
-    file[rows] = values
-    if isinstance(file, np.memmap):
-        file.flush()

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.atomic import write_only
 from tiling.errors import PointCountError
 from tiling.formats.base import MapWriter
 
@@ -98,7 +99,7 @@ class PartWriter(ABC):
             )
         header = self._completed_header(parts)
         if header is not None:
-            with self.path.open("r+b") as file:
+            with write_only(self.path) as file:
                 file.write(header)
 
     def new_summary(self, first: int) -> PartSummary:
@@ -138,7 +139,7 @@ class MapPart:
             )
         self.summary = writer.new_summary(first)
         self._writer = writer
-        self._file = writer.path.open("r+b")
+        self._file = write_only(writer.path)
 
     def write(self, records: Any) -> None:
         """Append points, as the reader's batches hold them."""
