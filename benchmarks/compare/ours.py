@@ -1,7 +1,8 @@
 """DynaHull: every ready configuration, and what becomes of it without its steps.
 
-One cluster is a map without clustering and without Eq. 1; one rank over all, ground and everything,
-is the simplest thing that can be done with the densities.
+Without the ground step, the ground is part of the clusters. One cluster is a map without clustering
+and without Eq. 1; one rank over all, ground and everything, is the simplest thing that can be done
+with the densities.
 """
 
 import os
@@ -20,6 +21,7 @@ __all__ = ["methods"]
 _PAPER = "paper"
 _ONE_CLUSTER = ["clustering.count=1", "removal.min_percent=12.5", "removal.max_percent=12.5"]
 _WITHOUT_STEPS = {
+    "no ground step": ["ground.method=none"],
     "one cluster, 12.5 % removed": _ONE_CLUSTER,
     "one rank over all, 12.5 % removed": [*_ONE_CLUSTER, "ground.method=none"],
 }

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from shutil import which
 
+import laspy
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -260,3 +261,32 @@ def test_scenes_of_the_first_seed_come_first():
     told = [(make.func.__name__, *make.args[1:2]) for make in makers]
     simulated, recorded = "simulated_scene", "street_scene"
     assert told == [(simulated, 3), (recorded,), (simulated, 3), (simulated, 4), (simulated, 4)]
+
+
+def test_halves_of_the_street_are_maps_of_their_own(tmp_path):
+    from benchmarks.compare.data import recorded  # noqa: PLC0415
+    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+
+    points = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    random = np.random.default_rng(0)
+    points.xyz = random.uniform(-50, 50, (1000, 3)).round(1)
+    points.point_source_id = random.permutation(np.arange(1000) % 77)
+    points.user_data = random.integers(0, 3, 1000)
+    points.write(tmp_path / "street_64beam_labelled.las")
+    # Without compression, under the name that is looked for.
+    (tmp_path / "street_64beam_labelled.las").rename(tmp_path / "street_64beam_labelled.laz")
+    poses = np.tile(np.eye(3, 4), (77, 1, 1))
+    poses[:, 0, 3] = np.arange(77)
+    np.savetxt(tmp_path / "street_64beam_labelled.poses.txt", poses.reshape(77, 12))
+
+    halves = recorded.first_half_of_street(tmp_path), recorded.second_half_of_street(tmp_path)
+    for half, first, last in zip(halves, (0, 38), (37, 76), strict=True):
+        here = (points.point_source_id >= first) & (points.point_source_id <= last)
+        assert np.array_equal(half.xyz, points.xyz[here])
+        assert np.array_equal(half.scan + first, points.point_source_id[here])
+        assert half.poses[0, 0, 3] == first and half.poses[-1, 0, 3] == last
+        # Labels beyond 40 m of the half's own path do not count.
+        from_path = half.xyz[:, 0] - np.clip(half.xyz[:, 0].round(), first, last)
+        near = np.hypot(from_path, half.xyz[:, 1]) <= 40
+        assert not near.all()
+        assert np.array_equal(half.labels != Truth.UNKNOWN, near & (points.user_data[here] != 0))

@@ -5,7 +5,12 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.compare.data.crossing import crossing_scene
-from benchmarks.compare.data.recorded import room_scene, street_scene
+from benchmarks.compare.data.recorded import (
+    first_half_of_street,
+    room_scene,
+    second_half_of_street,
+    street_scene,
+)
 from benchmarks.compare.data.simulated import simulated_scene
 from benchmarks.compare.scene import Scene
 from pipeline.simulation import SceneKind
@@ -13,7 +18,12 @@ from pipeline.simulation import SceneKind
 __all__ = ["SCENES", "scene_makers"]
 
 _SIMULATED = "simulated-"
-RECORDED = {"street-64": street_scene, "room": room_scene}
+RECORDED = {
+    "street-64": street_scene,
+    "street-64-first-half": first_half_of_street,
+    "street-64-second-half": second_half_of_street,
+    "room": room_scene,
+}
 SCENES = ("crossing", *(f"{_SIMULATED}{kind.value}" for kind in SceneKind), *RECORDED)
 """Names that the command line takes."""
 

@@ -11,19 +11,35 @@ from benchmarks.compare.data.occupancy import labels_by_occupancy
 from benchmarks.compare.scene import Scene
 from pipeline.evaluation.labels import Truth
 
-__all__ = ["room_scene", "street_scene"]
+__all__ = ["first_half_of_street", "room_scene", "second_half_of_street", "street_scene"]
 
 SCORED_WITHIN = 40.0
 """Metres from the path, where the labels of the street are scored."""
 
+_STREET_SCANS, _STREET_MIDDLE = 77, 38
 _STREET_LABELS = {0: Truth.UNKNOWN, 1: Truth.STATIC, 2: Truth.DYNAMIC}
 
 
 def street_scene(maps: Path) -> Scene:
     """Read 77 scans of a 64-ring sensor, in part labelled (`user_data`)."""
+    return _street(maps, "recorded street", range(_STREET_SCANS))
+
+
+def first_half_of_street(maps: Path) -> Scene:
+    """Read the first 38 scans of the street, as a map of their own."""
+    return _street(maps, "recorded street, first half", range(_STREET_MIDDLE))
+
+
+def second_half_of_street(maps: Path) -> Scene:
+    """Read the last 39 scans of the street, as a map of their own."""
+    return _street(maps, "recorded street, second half", range(_STREET_MIDDLE, _STREET_SCANS))
+
+
+def _street(maps: Path, name: str, scans: range) -> Scene:
     path = maps / "street_64beam_labelled.laz"
     points = laspy.read(path)
-    poses = np.loadtxt(path.with_suffix(".poses.txt")).reshape(-1, 3, 4)
+    points = points[np.isin(points.point_source_id, scans)]
+    poses = np.loadtxt(path.with_suffix(".poses.txt")).reshape(-1, 3, 4)[scans]
     xyz = _coordinates(points)
     labels = np.full(len(xyz), Truth.UNKNOWN, dtype=np.int8)
     for value, truth in _STREET_LABELS.items():
@@ -31,11 +47,11 @@ def street_scene(maps: Path) -> Scene:
     away, _ = cKDTree(poses[:, :2, 3]).query(xyz[:, :2])
     labels[away > SCORED_WITHIN] = Truth.UNKNOWN
     return Scene(
-        name="recorded street",
-        group="recorded street",
+        name=name,
+        group=name,
         xyz=xyz,
         labels=labels,
-        scan=np.asarray(points.point_source_id).astype(np.int32),
+        scan=np.asarray(points.point_source_id).astype(np.int32) - scans.start,
         poses=poses,
         ring_spacing=26.9 / 64,
     )
