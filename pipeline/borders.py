@@ -293,16 +293,16 @@ class _Rest:
                 self._known.select(self._membership == cluster), np.arange(len(slots))
             )
         for tile in self._others.near(*_bounds_of_all(searches.values())):
+            box = self._others.box(tile)
             reaching = {
-                cluster: search.reaching(*self._others.box(tile))
+                cluster: slots
                 for cluster, search in searches.items()
+                if len(slots := search.reaching(*box))
             }
-            if not any(map(len, reaching.values())):
+            if not reaching:
                 continue
             points = self._others.free_points(tile)
-            low, high = _bounds_of_all(
-                searches[each] for each, slots in reaching.items() if len(slots)
-            )
+            low, high = _bounds_of_all(searches[cluster] for cluster in reaching)
             within = Region(low, np.nextafter(high, np.inf)).holds(points.xyz)
             points = points.select(within & ~self._region.holds(points.xyz))
             membership = self._clusters.nearest(points.xyz)

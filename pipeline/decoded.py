@@ -86,6 +86,7 @@ def read_map(collection: MapCollection, most_kept: int, observer: StageObserver)
 
 
 def _size_of(records: Any) -> int:
+    """Return the bytes of records; more than are ever kept where they do not tell."""
     if not isinstance(records, np.ndarray):
         return MOST_KEPT + 1
     if records.dtype != object:

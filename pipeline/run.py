@@ -45,12 +45,12 @@ from pipeline.report import RunReport
 from pipeline.report_page.page import render_page
 from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import TileWork
-from pipeline.tiles.cleaning import clean_tiles, exhaust
+from pipeline.tiles.cleaning import clean_tiles
 from pipeline.tiles.job import Job
 from pipeline.tiles.opening import open_job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
-from pipeline.tiles.stages import do_stage
+from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.workers import prepare_workers, workers_for
 from pipeline.write_results import write_labels, write_maps

@@ -15,10 +15,9 @@ from pipeline.errors import LostPointsError
 from pipeline.output_modes import mode_of
 from pipeline.outputs import OutputNames
 from pipeline.progress import StageObserver
-from pipeline.tiles.cleaning import exhaust
 from pipeline.tiles.execution import Executor
 from pipeline.tiles.job import Job
-from pipeline.tiles.stages import do_stage
+from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import (
     BATCH,
     GROWING,

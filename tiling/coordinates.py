@@ -62,10 +62,8 @@ class KeptCoordinates:
         with self._opened(lambda path: path.open("rb")) as stream:
             stream.seek(rows.start * _POINT_BYTES)
             for first in range(rows.start, rows.stop, max_points):
-                yield (
-                    0,
-                    PointBatch(first, self._read(stream, min(max_points, rows.stop - first)), None),
-                )
+                xyz = self._read(stream, min(max_points, rows.stop - first))
+                yield 0, PointBatch(first, xyz, None)
 
     def _read(self, stream: BinaryIO, count: int) -> NDArray[np.float64]:
         xyz = np.fromfile(stream, np.float64, 3 * count)

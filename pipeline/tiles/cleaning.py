@@ -25,7 +25,7 @@ from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.row_results import RowResults
 from pipeline.tiles.scoring import first_cluster, save_cuts, scored_points
-from pipeline.tiles.stages import do_stage
+from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.work import TaskReport, remove_work
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkStore
@@ -138,12 +138,6 @@ def find_clusters(job: Job, observer: StageObserver) -> None:
     clusters = fit_clusters(xyz, parameters)
     with atomic_file(job.root / CLUSTERS_FILE) as temporary, temporary.open("wb") as stream:
         np.save(stream, clusters.centroids)
-
-
-def exhaust(stage: Iterator[object]) -> None:
-    """Do a stage whose reports say nothing more."""
-    for _ in stage:
-        pass
 
 
 def _surveys(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Iterator[Survey]:

@@ -1,4 +1,4 @@
-"""One value for each row of the map, in a file that many tasks fill in: labels, densities."""
+"""One value for each row of the map, in a file: labels, densities, classes."""
 
 import os
 from pathlib import Path

@@ -122,6 +122,12 @@ def do_stage(
         raise TasksFailedError(_failure_line(stage, failures))
 
 
+def exhaust(stage: Iterator[object]) -> None:
+    """Do a stage whose reports say nothing more."""
+    for _ in stage:
+        pass
+
+
 def _outcomes(
     job: Job, executor: Executor, observer: StageObserver, stage: str, waiting: Sequence[int]
 ) -> Iterator[tuple[int, Outcome]]:
