@@ -27,3 +27,39 @@ def test_a_small_program_started_by_a_large_one_is_small():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
     assert MIB < int(done.stdout) < 128 * MIB
     assert peak_memory() > large.nbytes
+
+
+GIVEN_BACK = """
+import sys
+from pathlib import Path
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pipeline.machine import give_memory_back
+
+def held():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon"))
+
+def use(count):
+    table = pa.table({"x": pa.array(np.random.default_rng(0).uniform(size=count))})
+    pq.write_table(table, sys.argv[1], compression="zstd", use_dictionary=False)
+    table = pq.ParquetFile(sys.argv[1]).read(use_threads=False)
+
+use(1_000)  # what is imported stays
+give_memory_back()
+before = held()
+use(4_000_000)
+kept = held()
+give_memory_back()
+print(before, kept, held())
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system has no /proc")
+def test_what_arrow_keeps_is_given_back(tmp_path):
+    program = [sys.executable, "-c", GIVEN_BACK, str(tmp_path / "table.parquet")]
+    done = subprocess.run(program, capture_output=True, check=True)
+    before, kept, after = map(int, done.stdout.split())
+    assert kept > before + 24 * 1024
+    assert after < before + 8 * 1024

@@ -37,5 +37,7 @@ def test_what_is_far_is_left_out():
     assert vicinity.holds(np.array([[100.0, 99, 5]])).all()
     far = np.array([[0.0, 100, 0], [50, 50, 0], [-9, 0, 0], [0, 109, 0], [1e300, 0, 0]])
     assert not vicinity.holds(far).any()
+    # In the raster's memory, what is just beyond a line of cells is the beginning of the next.
+    assert not vicinity.holds(np.array([[0.0, 104.6, 0]])).any()
     assert not vicinity.meets(np.array([20.0, 20]), np.array([80.0, 80]))
     assert not vicinity.meets(np.array([-np.inf, 120]), np.array([np.inf, np.inf]))

@@ -2,6 +2,8 @@
 
 import json
 import pickle
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -37,6 +39,33 @@ def store_of(folder, collection, max_points, halo, kind="parquet"):
     store = ChunkStore(folder, layout, halo, collection.point_count, kind, GRID)
     store.save()
     return store
+
+
+HELD_BY_A_CHUNK = """
+import sys
+from pathlib import Path
+import numpy as np
+import pyarrow as pa
+from tiling import chunks_parquet
+from tiling.chunk_store import Chunk, ChunkStore
+from tiling.layout import quadtree
+from tiling.occupancy import ColumnCounter
+
+def held():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon"))
+
+xyz = np.random.default_rng(0).uniform(size=(1_000_000, 3))
+counter = ColumnCounter()
+counter.add_points(xyz)
+store = ChunkStore(Path(), quadtree(counter.occupancy(), 2_000_000), 0.0, len(xyz))
+chunk = Chunk(xyz, np.arange(len(xyz)), np.ones(len(xyz), np.bool_))
+chunks_parquet.write(Path(sys.argv[1]), chunk, store, 0)
+pa.default_memory_pool().release_unused()
+before = held()
+again = chunks_parquet.read(Path(sys.argv[1]))
+print(held() - before)
+"""
 
 
 def fill(store, collection, cuts=(), most=10**6, backwards=False):
@@ -269,3 +298,11 @@ def test_las_chunks_of_points_off_the_grid_are_refused(tmp_path):
     with pytest.raises(GridError, match=r"000000\.las: expected coordinates that LAS gives back"):
         assemble(store, 0)
     assert list(store.chunk_path(0).parent.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system has no /proc")
+def test_a_chunk_that_was_read_takes_no_more_than_its_points(tmp_path):
+    program = [sys.executable, "-c", HELD_BY_A_CHUNK, str(tmp_path / "chunk.parquet")]
+    done = subprocess.run(program, capture_output=True, check=True)
+    points = 33 * 1_000_000 / 1024  # KiB
+    assert 0.9 * points < int(done.stdout) < 1.5 * points
