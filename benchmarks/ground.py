@@ -19,7 +19,9 @@ import numpy.typing as npt
 import yaml
 
 from benchmarks.building import Building, simulate_building
-from dynahull.ground import ClothParameters, GroundParameters, ground_mask, ground_radius
+from dynahull.ground.methods import ground_mask
+from dynahull.ground.parameters import ClothParameters, GroundParameters
+from dynahull.ground.reach import ground_radius
 
 Floats = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from benchmarks.building import simulate_building
 from benchmarks.ground import DEFAULT, ROOT, Booleans, Floats, load
-from dynahull.ground import ground_mask
+from dynahull.ground.methods import ground_mask
 
 MAPS = {
     "corridor": (29.0, 30.6),

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from dynahull import Label, clean
-from dynahull.ground import height_above_ground
+from dynahull.ground.methods import height_above_ground
 from pipeline.configuration import load_configuration
 from tiling.formats import open_map
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.density import SMALLEST_CLUSTER, cluster_densities
 from dynahull.errors import InvalidPointsError
-from dynahull.ground import ground_mask, height_above_ground
+from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver

@@ -5,7 +5,6 @@ This is the oracle of `dynahull.kernels`: SciPy's Qhull (Barber, Dobkin and Huhd
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 FLATNESS = 1e-10
 """Width or thickness, as a share of the length, up to which a neighbourhood has no volume.
@@ -31,6 +30,8 @@ def hull_volume(neighbours: NDArray[np.float64]) -> float:
     float
         Cubic metres; zero where the points are coplanar, collinear or identical by `FLATNESS`.
     """
+    from scipy.spatial import ConvexHull  # noqa: PLC0415 (a fifth of a second, and rarely used)
+
     if len(neighbours) < _CORNERS_OF_A_VOLUME:
         return 0.0
     centred = neighbours - neighbours[0]

@@ -5,7 +5,6 @@ This is the oracle of `dynahull.kernels`: short, slow, on SciPy's k-d tree.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 
 def nearest_neighbours(
@@ -33,6 +32,8 @@ def nearest_neighbours(
         Indices into `points`, ordered by (squared distance, row number). The squared distance is
         (dx dx + dy dy) + dz dz in float64, from differences of the coordinates as given.
     """
+    from scipy.spatial import KDTree  # noqa: PLC0415 (a fifth of a second, and rarely used)
+
     k = min(k, len(points))
     if centres is None:
         centres = points

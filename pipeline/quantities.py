@@ -54,3 +54,21 @@ Seconds = Annotated[int, Field(ge=1), BeforeValidator(_seconds)]
 def clock(seconds: int) -> str:
     """Return a duration as hours, minutes and seconds, as schedulers read it."""
     return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+
+
+def in_units(size: float) -> str:
+    """Return a number of bytes as people read it."""
+    units = ["bytes", "KiB", "MiB", "GiB", "TiB"]
+    while size >= 1024 and len(units) > 1:
+        size /= 1024
+        del units[0]
+    return f"{size:.0f} {units[0]}" if units[0] == "bytes" else f"{size:.1f} {units[0]}"
+
+
+def in_time(seconds: float) -> str:
+    """Return a duration as people read it."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

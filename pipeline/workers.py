@@ -2,13 +2,16 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from pipeline.configuration import Configuration, is_elsewhere
 from pipeline.machine import available_cores
-from pipeline.plan import worker_memory_limit
+from pipeline.resources import worker_memory_limit
 from pipeline.tiles.execution import Executor, InProcess, local_workers
 from pipeline.tiles.fork_server import start_fork_server
-from pipeline.tiles.job import Job
+
+if TYPE_CHECKING:
+    from pipeline.tiles.job import Job
 
 
 def prepare_workers(configuration: Configuration) -> None:
@@ -25,7 +28,7 @@ def _are_local(configuration: Configuration) -> bool:
 
 
 @contextmanager
-def workers_for(job: Job) -> Iterator[Executor]:
+def workers_for(job: "Job") -> Iterator[Executor]:
     """Open what does the tasks of a run: this process, workers of this machine, or a cluster."""
     configuration = job.configuration
     workers = available_cores(configuration.execution.workers)

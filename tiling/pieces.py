@@ -42,6 +42,8 @@ class PointSource(Protocol):
 
 Points = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Boxes = tuple[Points, Points]
+"""Corner of the smallest, and of the largest, coordinates of each tile's box: (T, 2) each."""
 
 
 def write_pieces(
@@ -202,7 +204,9 @@ class _Sorter:
     def __init__(self, layout: Layout, halo: float) -> None:
         self._layout = layout
         self._halo = halo
-        self._low, self._high = layout.low - halo, layout.high + halo
+        self._reached = layout.low - halo, layout.high + halo
+        # In here no other tile's halo reaches: rounding is monotonic, so not by a bit either.
+        self._inner = layout.low + halo, layout.high - halo
         # For each tile, the others whose halo reaches into its core: found when it is met.
         self._others: dict[int, Integers] = {}
 
@@ -216,7 +220,7 @@ class _Sorter:
         tiles = self._layout.tile_of(xyz)
         starts, others = self._tables(tiles)
         counts = np.zeros(len(self._layout), np.int64)
-        _count(xyz, tiles, starts, others, self._low, self._high, counts)
+        _count(xyz, tiles, starts, others, self._inner, self._reached, counts)
         total = int(counts.sum())
         if total > most and len(xyz) > 1:
             middle = len(xyz) // 2
@@ -230,8 +234,8 @@ class _Sorter:
             tiles,
             starts,
             others,
-            self._low,
-            self._high,
+            self._inner,
+            self._reached,
             first_row,
             places,
             points,
@@ -246,7 +250,8 @@ class _Sorter:
         """
         sizes = np.zeros(len(self._layout) + 1, np.int64)
         lists = [np.empty(0, np.int64)]
-        for tile in np.unique(tiles[tiles != NO_TILE]).tolist():
+        present = np.bincount(tiles + 1, minlength=len(self._layout) + 1)[1:]
+        for tile in np.flatnonzero(present).tolist():
             if tile not in self._others:
                 self._others[tile] = self._find_others(tile)
             lists.append(self._others[tile])
@@ -260,8 +265,10 @@ class _Sorter:
 
 
 @compiled
-def _is_inside(x: float, y: float, low: Points, high: Points) -> bool:
-    return bool(low[0] <= x < high[0] and low[1] <= y < high[1])
+def _is_inside(x: float, y: float, boxes: Boxes, tile: int) -> bool:
+    low, high = boxes
+    along_x = low[tile, 0] <= x < high[tile, 0]
+    return bool(along_x and low[tile, 1] <= y < high[tile, 1])
 
 
 @compiled
@@ -270,8 +277,8 @@ def _count(
     tiles: NDArray[np.int32],
     starts: Integers,
     others: Integers,
-    low: Points,
-    high: Points,
+    inner: Boxes,
+    reached: Boxes,
     counts: Integers,
 ) -> None:
     """Count the points of each tile, in its core and in its halo."""
@@ -280,9 +287,11 @@ def _count(
         if tile == NO_TILE:
             continue
         counts[tile] += 1
+        if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
+            continue
         for place in range(starts[tile], starts[tile + 1]):
             other = others[place]
-            if _is_inside(xyz[point, 0], xyz[point, 1], low[other], high[other]):
+            if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
                 counts[other] += 1
 
 
@@ -292,8 +301,8 @@ def _place(
     tiles: NDArray[np.int32],
     starts: Integers,
     others: Integers,
-    low: Points,
-    high: Points,
+    inner: Boxes,
+    reached: Boxes,
     first_row: int,
     places: Integers,
     points: Points,
@@ -307,9 +316,11 @@ def _place(
         points[places[tile], :3] = xyz[point]
         marks[places[tile], 3] = first_row + point
         places[tile] += 1
+        if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
+            continue
         for place in range(starts[tile], starts[tile + 1]):
             other = others[place]
-            if _is_inside(xyz[point, 0], xyz[point, 1], low[other], high[other]):
+            if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
                 points[places[other], :3] = xyz[point]
                 marks[places[other], 3] = ~(first_row + point)
                 places[other] += 1

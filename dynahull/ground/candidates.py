@@ -16,12 +16,10 @@ from dynahull.ground.lattice import (
 )
 from dynahull.ground.levels import Levels
 from dynahull.ground.parameters import SlopeParameters
+from dynahull.ground.reach import FLAT_RADIUS
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["FLAT_RADIUS", "are_flat", "are_floors"]
-
-FLAT_RADIUS = 2.9
-"""Cells; the neighbourhood in which a level must go on."""
+__all__ = ["are_flat", "are_floors"]
 
 _SMALLEST_RANGE = 500
 """Levels."""

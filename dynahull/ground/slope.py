@@ -12,17 +12,18 @@ from pathlib import Path
 import numpy as np
 
 from dynahull.compilation import compiled, compiling
-from dynahull.ground.candidates import FLAT_RADIUS, are_flat, are_floors
+from dynahull.ground.candidates import are_flat, are_floors
 from dynahull.ground.columns import sort_columns
 from dynahull.ground.decision import decide
 from dynahull.ground.lattice import Booleans, Floats, Integers, build_lattice
 from dynahull.ground.levels import find_levels
 from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import SlopeParameters
+from dynahull.ground.reach import FLAT_RADIUS
 from dynahull.ground.surface import fit_surface, height_over
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["compile_once", "height_above", "height_reach", "slope_ground", "slope_radius"]
+__all__ = ["compile_once", "height_above", "slope_ground"]
 
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
@@ -55,7 +56,7 @@ def slope_ground(points: Floats, p: SlopeParameters, threads: int = 1) -> Boolea
     -------
     (N,) bool array
         The same for any order of the points, and for any part of a map that holds all within
-        `slope_radius` of a point, that point's.
+        `ground_radius` of a point, that point's.
     """
     clearance = np.inf if p.clearance is None else p.clearance
     storey = _STOREY_TO_CLEARANCE * clearance
@@ -72,19 +73,6 @@ def slope_ground(points: Floats, p: SlopeParameters, threads: int = 1) -> Boolea
     occupied = np.diff(columns.starts) > 0
     surface = fit_surface(levels, lattice, occupied, p.extension, storey / 2, p.level, threads)
     return decide(points, columns, surface, p, threads)
-
-
-def slope_radius(p: SlopeParameters) -> float:
-    """Metres within which all points lie that decide a point's label: the windows, end to end."""
-    candidate = FLAT_RADIUS * p.cell
-    if p.clearance is not None:
-        candidate = max(candidate, p.storey_radius)
-    return p.extension + 2 * p.window + candidate + np.sqrt(2.0) * p.cell
-
-
-def height_reach(p: SlopeParameters) -> float:
-    """Metres within which all ground points lie that decide a point's height above the ground."""
-    return p.extension + np.sqrt(2.0) * p.cell
 
 
 def height_above(points: Floats, ground: Booleans, p: SlopeParameters, threads: int = 1) -> Floats:

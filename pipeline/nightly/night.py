@@ -38,7 +38,7 @@ from pipeline.nightly.settings import NightlySettings
 from pipeline.nightly.summary import MapOutcome, NightSummary
 from pipeline.nightly.triage import Candidate, in_turn, verdict
 from pipeline.outputs import folder_is_locked
-from pipeline.plan import check_space
+from pipeline.resources import check_space
 
 STATE_FOLDER = ".nightly"
 """Within the output folder: lock and journal."""

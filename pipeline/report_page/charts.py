@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from pipeline.plan import in_time
+from pipeline.quantities import in_time
 from pipeline.report import ClusterReport
 from pipeline.report_page.amounts import Amounts
 from pipeline.report_page.sample import MapSample

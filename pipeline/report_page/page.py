@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from pipeline.plan import in_time, in_units
+from pipeline.quantities import in_time, in_units
 from pipeline.report import RunReport
 from pipeline.report_page.amounts import TABLE_STEP, Amounts, removal_amounts
 from pipeline.report_page.charts import (

@@ -23,8 +23,9 @@ from pipeline.tiles.cutting import make_copies
 from pipeline.tiles.execution import Executor, LightTasks
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
+from pipeline.tiles.labelling import save_cuts
 from pipeline.tiles.row_results import RowResults
-from pipeline.tiles.scoring import first_cluster, save_cuts, scored_points
+from pipeline.tiles.scoring import first_cluster, scored_points
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.work import TaskReport, remove_work
 from tiling.atomic import atomic_file

@@ -221,6 +221,9 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
         "distributed.admin.log-length": 1_000,
+        # They look at what tasks do a hundred times a second, and tell a page that is not shown.
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "1s",
         "distributed.comm.timeouts.connect": "60s",
     }
     stack.enter_context(dask.config.set(settings))

@@ -8,8 +8,9 @@ from pipeline.errors import OutputError
 from pipeline.machine import available_cores
 from pipeline.map_state import unchanged
 from pipeline.outputs import locked_folder
-from pipeline.plan import check_one_tile, check_plan, is_one_tile, make_plan
+from pipeline.plan import check_plan, make_plan
 from pipeline.progress import StageObserver
+from pipeline.resources import check_one_tile, is_one_tile
 from pipeline.tiles.cleaning import cut_into_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
 from pipeline.tiles.opening import open_job

@@ -1,42 +1,44 @@
-"""The task that keeps, of one tile, the points that the report shows; and what all of them give."""
+"""The points that the report shows, of one tile and of all, and what the tiles took."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull.result import NO_CLUSTER
 from pipeline.report_page.sample import ARRAY_NAMES, MapSample, is_sampled
 from pipeline.report_page.tile_chart import TileWork
+from pipeline.selection import ScoredPoints
 from pipeline.tiles.ground import SHOWN_NAMES
 from pipeline.tiles.job import JOB_FILE, Job
-from pipeline.tiles.scoring import first_cluster, scored_points
-from pipeline.tiles.work import TaskReport
+from pipeline.tiles.scoring import first_cluster
 
-_STAGES_OF_A_TILE = ("chunk", "ground", "density", "label", "sample")
+_STAGES_OF_A_TILE = ("chunk", "ground", "density", "label")
 
 
-def sample_tile(job: Job, tile: int) -> TaskReport:
-    """Keep the sampled points of a tile's core, with their labels, clusters and densities."""
+def shown_points(
+    job: Job,
+    tile: int,
+    core_rows: NDArray[np.int64],
+    core_labels: NDArray[np.uint8],
+    scored: ScoredPoints,
+) -> MapSample:
+    """Return the sampled points of a tile's core, with their labels, clusters and densities."""
     total = job.collection.point_count
     xyz, rows = job.work.load("ground", tile, *SHOWN_NAMES)
-    scored = scored_points(job, tile)
     wanted = is_sampled(scored.rows, total)
     cluster = np.full(len(rows), NO_CLUSTER, np.int32)
     density = np.full(len(rows), np.nan)
     place = np.searchsorted(rows, scored.rows[wanted])  # rows are in order
     cluster[place] = scored.cluster[wanted] + first_cluster(job, tile)
     density[place] = scored.density[wanted]
-    (core_rows,) = job.work.load("ground", tile, "core_rows")
-    (labels,) = job.work.load("label", tile, "label")
-    labels = labels[np.searchsorted(core_rows, rows)]
-    sample = MapSample(total, rows, xyz, labels, cluster, density)
-    job.work.save("sample", tile, **sample.to_arrays())
-    return TaskReport(int(job.store.layout.counts[tile]))
+    labels = core_labels[np.searchsorted(core_rows, rows)]
+    return MapSample(total, rows, xyz, labels, cluster, density)
 
 
 def gather_sample(job: Job) -> MapSample:
     """Return the sample of the map: that of all its tiles."""
     total = job.collection.point_count
     parts = [
-        MapSample(total, *job.work.load("sample", tile, *ARRAY_NAMES))
+        MapSample(total, *job.work.load("label", tile, *ARRAY_NAMES))
         for tile in range(len(job.store.layout))
     ]
     return MapSample.of_parts(total, parts)

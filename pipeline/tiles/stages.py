@@ -15,8 +15,8 @@ from pipeline.tiles.division import SIDES
 from pipeline.tiles.execution import Executor, Outcome, TaskFailure
 from pipeline.tiles.ground import find_ground
 from pipeline.tiles.job import Job
-from pipeline.tiles.sampling import sample_tile
-from pipeline.tiles.scoring import label_tile, score_tile
+from pipeline.tiles.labelling import label_tile
+from pipeline.tiles.scoring import score_tile
 from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import write_part
 
@@ -27,7 +27,6 @@ TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "ground": find_ground,
     "density": score_tile,
     "label": label_tile,
-    "sample": sample_tile,
     "write": write_part,
 }
 """The stages whose work is shared out, in their order."""

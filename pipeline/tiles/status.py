@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.cluster.record import CLUSTER_FOLDER, submitted_job
 from pipeline.errors import WorkError
 from pipeline.outputs import STAGING, folder_is_locked
-from pipeline.plan import in_time
+from pipeline.quantities import in_time
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work, stages_begun
 
 

@@ -8,21 +8,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dynahull.errors import InvalidPointsError, MissingClassificationError, MissingDependencyError
-from dynahull.ground import (
-    ClothParameters,
-    GroundParameters,
-    SlopeParameters,
-    candidates,
-    columns,
-    ground_mask,
-    ground_radius,
-    height_above_ground,
-    height_radius,
-    lattice,
-    opening,
-    surface,
-)
+from dynahull.ground import candidates, columns, lattice, opening, surface
 from dynahull.ground import slope as slope_module
+from dynahull.ground.methods import ground_mask, height_above_ground
+from dynahull.ground.parameters import ClothParameters, GroundParameters, SlopeParameters
+from dynahull.ground.reach import ground_radius, height_radius
 
 DEFAULT = GroundParameters()
 SMALL = GroundParameters(slope=SlopeParameters(window=1.0, storey_radius=1.0, extension=0.5))

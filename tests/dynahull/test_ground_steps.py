@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from pytest import MonkeyPatch
 from scipy import ndimage
 
-from dynahull.ground import GroundParameters, SlopeParameters, ground_mask, ground_radius
 from dynahull.ground import columns as columns_module
 from dynahull.ground import lattice as lattice_module
 from dynahull.ground.columns import Columns, sort_columns
 from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets
 from dynahull.ground.levels import Levels, find_levels
+from dynahull.ground.methods import ground_mask
 from dynahull.ground.opening import stand_out
+from dynahull.ground.parameters import GroundParameters, SlopeParameters
+from dynahull.ground.reach import ground_radius
 from dynahull.ground.surface import HEIGHT, NOISE, SLOPE_X, SLOPE_Y, fit_surface
 
 

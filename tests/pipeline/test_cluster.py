@@ -22,7 +22,7 @@ from pipeline.cluster.submitting import run_script, submit_run
 from pipeline.cluster.workers import worker_job, worker_keywords
 from pipeline.configuration import load_configuration
 from pipeline.errors import ClusterError, ConfigurationError, OutputError, WorkError
-from pipeline.plan import worker_memory_limit
+from pipeline.resources import worker_memory_limit
 from pipeline.tiles.opening import job_key
 
 dask_jobqueue = pytest.importorskip("dask_jobqueue")

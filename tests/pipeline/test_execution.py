@@ -16,8 +16,8 @@ from distributed import Client, LocalCluster, Worker
 
 from pipeline.configuration import load_configuration
 from pipeline.errors import TasksFailedError
-from pipeline.plan import worker_memory_limit
 from pipeline.progress import LogDisplay, StageObserver
+from pipeline.resources import worker_memory_limit
 from pipeline.run import run
 from pipeline.tiles import execution, stages
 from pipeline.tiles.execution import (

@@ -1,0 +1,46 @@
+"""A map of several tiles: cleaned tile by tile by workers."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.cleaned_map import CleanedMap
+from pipeline.outputs import OutputNames
+from pipeline.plan import check_plan
+from pipeline.progress import StageObserver
+from pipeline.tiles.cleaning import clean_tiles
+from pipeline.tiles.job import Job
+from pipeline.tiles.rows import open_rows
+from pipeline.tiles.sampling import gather_sample, tile_work
+from pipeline.workers import workers_for
+from pipeline.write_results import write_maps
+from tiling.formats.collection import MapCollection
+
+
+def clean_in_tiles(
+    job: Job,
+    collection: MapCollection,
+    names: OutputNames,
+    staging: Path,
+    observer: StageObserver,
+) -> CleanedMap:
+    """Clean a map of several tiles, and write its results."""
+    observer.finish()  # workers may be long in coming
+    with workers_for(job) as executor:
+        result = clean_tiles(
+            job,
+            executor,
+            observer,
+            lambda plan: check_plan(plan, job.configuration, job.root),
+        )
+        labels = open_rows(job.rows_path("label"), np.uint8)
+        sample, tiles = None, None
+        if job.configuration.output.report == "html":
+            sample, tiles = gather_sample(job), tile_work(job)
+        output = job.configuration.output
+        cluster, density = None, None
+        if output.needs_scores:
+            cluster = open_rows(job.rows_path("cluster"), np.int32)
+            density = open_rows(job.rows_path("density"), np.float64)
+        write_maps(collection, output, labels, density, names, staging, observer, job, executor)
+    return CleanedMap(labels, cluster, density, result.counts, result.clusters, sample, tiles)

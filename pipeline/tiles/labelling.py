@@ -1,0 +1,89 @@
+"""The task that labels the points of one tile, once all tiles are scored."""
+
+import json
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.density import SMALLEST_CLUSTER
+from dynahull.labels import Label
+from dynahull.rescale import removal_percentages
+from dynahull.result import NO_CLUSTER
+from pipeline.selection import Cut, ScoredPoints, find_cuts
+from pipeline.tiles.ground import LABEL_NAMES
+from pipeline.tiles.job import Job
+from pipeline.tiles.sampling import shown_points
+from pipeline.tiles.scoring import first_cluster, scored_points
+from pipeline.tiles.work import TaskReport
+
+CUTS_FILE = "cuts.json"
+
+
+def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
+    """Keep what all tiles together say of the removal: N_i, and the cut of each cluster.
+
+    With one model a tile there are no cuts yet: only the smallest and the largest N_i are kept,
+    which is all that Eq. 1 asks of other tiles.
+    """
+    values = {
+        "counts": counts if cuts is not None else [min(counts), max(counts)],
+        "cuts": None if cuts is None else [(cut.density, int(cut.last_row)) for cut in cuts],
+    }
+    job.work.write_json(job.root / CUTS_FILE, values)
+
+
+def label_tile(job: Job, tile: int) -> TaskReport:
+    """Label the points of a tile's core.
+
+    The labels are kept, clusters and densities if wanted, and what the report shows of them.
+
+    The report counts the points of each label, then those removed from each cluster.
+    """
+    core_rows, labels = job.work.load("ground", tile, *LABEL_NAMES)
+    scored = scored_points(job, tile)
+    counts, cuts = _cuts_of(job, tile, scored)
+    removed = []
+    place = np.searchsorted(core_rows, scored.rows)
+    for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
+        members = np.flatnonzero(scored.cluster == cluster)
+        if count < SMALLEST_CLUSTER:
+            labels[place[members]] = Label.UNSCORED
+        dynamic = cut.dynamic(scored.density[members], scored.rows[members])
+        labels[place[members[dynamic]]] = Label.DYNAMIC
+        removed.append(int(np.count_nonzero(dynamic)))
+    kept: dict[str, NDArray[Any]] = {"label": labels}
+    if job.configuration.output.report == "html":
+        kept |= shown_points(job, tile, core_rows, labels, scored).to_arrays()
+    if job.configuration.output.needs_scores:
+        kept["cluster"] = np.full(len(core_rows), NO_CLUSTER, np.int32)
+        kept["cluster"][place] = scored.cluster + first_cluster(job, tile)
+        kept["density"] = np.full(len(core_rows), np.nan)
+        kept["density"][place] = scored.density
+    if job.configuration.clustering.scope == "tile":
+        limits = [np.nan if cut.density is None else cut.density for cut in cuts]
+        kept["thresholds"] = np.array(limits)
+    job.work.save("label", tile, **kept)
+    found = np.bincount(labels, minlength=len(Label)).tolist()
+    return TaskReport(len(core_rows), (*found, *removed))
+
+
+def _cuts_of(job: Job, tile: int, scored: ScoredPoints) -> tuple[list[int], list[Cut]]:
+    """Return N_i and the cut of every cluster that the tile's points may be in."""
+    stored = json.loads((job.root / CUTS_FILE).read_text(encoding="utf-8"))
+    if stored["cuts"] is not None:
+        return stored["counts"], [Cut(density, row) for density, row in stored["cuts"]]
+    report = job.work.report("density", tile)
+    counts = list(report.counts[1:]) if report else []
+    percentages = tile_percentages(job, counts, stored["counts"])
+    threshold = job.configuration.removal.threshold
+    return counts, find_cuts(lambda: [scored], counts, percentages, threshold)
+
+
+def tile_percentages(job: Job, counts: list[int], extremes: list[int]) -> Sequence[Fraction]:
+    """Return R_i of some clusters (Eq. 1), given the smallest and the largest N_i of the map."""
+    removal = job.configuration.removal
+    together = removal_percentages([*counts, *extremes], removal.min_percent, removal.max_percent)
+    return together[: len(counts)]
