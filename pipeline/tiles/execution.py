@@ -6,7 +6,7 @@ thousand tiles holds no graph of itself.
 """
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -135,7 +135,8 @@ class OnDask:
 
     def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
         """Do the tasks, a sliding window of them at a time."""
-        from distributed import as_completed  # noqa: PLC0415 (a second of import time)
+        from dask.utils import key_split  # noqa: PLC0415 (a second of import time)
+        from distributed import as_completed  # noqa: PLC0415
 
         waiting = iter(numbers)
         flying: dict[Any, int] = {}
@@ -144,6 +145,7 @@ class OnDask:
         while True:
             if monotonic() - counted >= _COUNT_EVERY:
                 window, counted = IN_FLIGHT_PER_WORKER * self.workers, monotonic()
+                key_split.cache_clear()  # it holds the names of the last 100,000 tasks
             while len(flying) < window and (number := next(waiting, None)) is not None:
                 future = self._client.submit(
                     _guarded, task, folder, number, pure=False, retries=RETRIES
@@ -208,7 +210,7 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
 def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
     """Start workers that last as long as the stack."""
     import dask  # noqa: PLC0415 (only where it is used)
-    from distributed import Client, LocalCluster  # noqa: PLC0415
+    from distributed import Client, LocalCluster, scheduler, worker  # noqa: PLC0415
 
     # It tells how every process and connection comes and goes.
     logging.getLogger("distributed").setLevel(logging.ERROR)
@@ -234,8 +236,17 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
         memory_limit=memory,
         dashboard_address=None,
         # Even without a dashboard it opens a port: any that is free, for runs side by side.
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+        scheduler_kwargs={
+            "dashboard_address": "127.0.0.1:0",
+            "extensions": _without_spans(scheduler.DEFAULT_EXTENSIONS),
+        },
+        extensions=_without_spans(worker.DEFAULT_EXTENSIONS),
         silence_logs=50,
     )
     stack.enter_context(cluster)
     return OnDask(stack.enter_context(Client(cluster, set_as_default=False)))
+
+
+def _without_spans(extensions: Mapping[str, type]) -> dict[str, type]:
+    """Leave out what would keep a note of every task for pages that are not shown."""
+    return {name: extension for name, extension in extensions.items() if name != "spans"}

@@ -1,5 +1,6 @@
 """Executors: few tasks in flight, none kept, and every failure told with its reason."""
 
+import gc
 import os
 import pickle
 import sys
@@ -146,6 +147,23 @@ def test_starting_workers_leaves_this_process_its_threads(monkeypatch):
         assert {name: os.environ[name] for name in names} == dict.fromkeys(names, "7")
         here = dict(executor.run(threads_allowed, "", [0]))
     assert here == {0: TaskReport(1)}
+
+
+def test_nothing_is_kept_of_tasks_that_are_done():
+    def lengths():
+        gc.collect()
+        kinds = (list, set, dict)
+        return {id(each): len(each) for each in gc.get_objects() if isinstance(each, kinds)}
+
+    with local_workers(1, 1 << 30) as executor:
+        for done, _ in enumerate(executor.run(answer, "", range(350)), 1):
+            if done == 50:
+                before = lengths()
+            if done == 349:
+                after = lengths()
+    assert done == 350
+    grown = {each: after[each] - length for each, length in before.items() if each in after}
+    assert [growth for growth in grown.values() if growth >= 250] == []
 
 
 def test_workers_that_cannot_start_are_told(client):
