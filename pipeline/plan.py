@@ -22,7 +22,7 @@ _BYTES_A_POINT = 260
 _BYTES_ON_DISK = 100
 """A point of a tile, core or halo, in pieces, chunks and ground-free points together."""
 
-_SCORES_ON_DISK = 40
+_SCORES_ON_DISK = 48
 """A point of the map: densities, labels, and what else is kept of each row."""
 
 _MICROSECONDS_A_POINT = 8.0

@@ -1,15 +1,15 @@
 """The exact threshold of each cluster over all tiles, without gathering all densities in one place.
 
-A positive float64 orders like its bits, so the density of a given rank is found digit by digit:
-one histogram of the leading 16 bits of all densities, then one of the next 16 among those that
-agree so far, until those left are few enough to be sorted. What is held at a time is one tile, one
-histogram a cluster, and those few.
+Each tile keeps the densities of each cluster in their order. A positive float64 orders like its
+bits, so the density of a given rank is found by halving the range of its bits: how many densities
+of a tile are no larger is a binary search, which looks at a few pages of a file. What is held at a
+time is two places a tile.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from dynahull.removal import removable_count, stepped_quartiles, stepped_threshold
 from dynahull.rescale import removal_count
 
-_DIGIT = 16
-_DIGITS = range(64 - _DIGIT, -1, -_DIGIT)
-_VALUES = 1 << _DIGIT
+_INFINITE = int(np.array(np.inf).view(np.uint64))
+"""The bits of infinity; of what is not a number they are more."""
 
-_GATHERED = 2_000_000
-"""Keys that agree so far and are few enough to be held, and sorted, all at once."""
+_ROW_BITS = 20
+"""Of a row number: that many rows are held at a time when equally dense points are told apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +41,14 @@ class ScoredPoints:
     rows: NDArray[np.int64]
 
 
-Tiles = Callable[[], Iterable[ScoredPoints]]
-"""Gives the scored points of every tile, one tile after the other, as often as it is called."""
+class ScoredTile(Protocol):
+    """What is known of the points of a tile that were clustered."""
+
+    def ordered(self, cluster: int) -> NDArray[np.float64]:
+        """Return the densities of its points in a cluster, ascending: infinite and NaN last."""
+
+    def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
+        """Return the row numbers of its points in a cluster that have just this density."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,7 @@ class Cut:
 
 
 def find_cuts(
-    tiles: Tiles,
+    tiles: Sequence[ScoredTile],
     counts: Sequence[int],
     percentages: Sequence[Fraction],
     threshold: Literal["rank", "stepped"],
@@ -79,7 +84,7 @@ def find_cuts(
 
     Parameters
     ----------
-    tiles : Tiles
+    tiles : sequence of ScoredTile
     counts : sequence of int
         N_i of every cluster of the whole map.
     percentages : sequence of Fraction
@@ -91,138 +96,84 @@ def find_cuts(
     list of Cut
         One for each cluster.
     """
-    finite = np.zeros(len(counts), np.int64)
-    for tile in tiles():
-        scored = tile.cluster[np.isfinite(tile.density)]
-        finite += np.bincount(scored, minlength=len(counts))
-    find = _cuts_by_rank if threshold == "rank" else _cuts_by_steps
-    return find(tiles, counts, percentages, [int(count) for count in finite])
-
-
-def _cuts_by_rank(
-    tiles: Tiles, counts: Sequence[int], percentages: Sequence[Fraction], finite: Sequence[int]
-) -> list[Cut]:
-    removed = [
-        min(removal_count(percentage, count), removable)
-        for percentage, count, removable in zip(percentages, counts, finite, strict=True)
+    find = _cut_by_rank if threshold == "rank" else _cut_by_steps
+    return [
+        find(tiles, cluster, count, percentage)
+        for cluster, (count, percentage) in enumerate(zip(counts, percentages, strict=True))
     ]
-    ranks = [(cluster, count - 1) for cluster, count in enumerate(removed) if count]
-    values, below = _order_statistics(lambda: map(_density_bits, tiles()), ranks)
-    limits = {cluster: _as_float(bits) for (cluster, _), bits in zip(ranks, values, strict=True)}
-    ties = [(cluster, rank - lower) for (cluster, rank), lower in zip(ranks, below, strict=True)]
-    rows, _ = _order_statistics(lambda: (_tied_rows(tile, limits) for tile in tiles()), ties)
-    cuts = [Cut(None) for _ in counts]
-    for (cluster, _), row in zip(ties, rows, strict=True):
-        cuts[cluster] = Cut(limits[cluster], row)
-    return cuts
 
 
-def _cuts_by_steps(
-    tiles: Tiles, counts: Sequence[int], percentages: Sequence[Fraction], finite: Sequence[int]
-) -> list[Cut]:
-    ranks = []
-    for cluster, (count, percentage, removable) in enumerate(
-        zip(counts, percentages, finite, strict=True)
-    ):
-        wanted = removable_count(percentage, count, removable)
-        if wanted:
-            ranks += [(cluster, rank) for rank in (*stepped_quartiles(removable), wanted - 1)]
-    values, _ = _order_statistics(lambda: map(_density_bits, tiles()), ranks)
-    cuts = [Cut(None) for _ in counts]
-    for place in range(0, len(ranks), 5):
-        statistics = [_as_float(bits) for bits in values[place : place + 5]]
-        cuts[ranks[place][0]] = Cut(stepped_threshold(*statistics))
-    return cuts
+def _cut_by_rank(
+    tiles: Sequence[ScoredTile], cluster: int, count: int, percentage: Fraction
+) -> Cut:
+    removed = min(removal_count(percentage, count), _finite(tiles, cluster))
+    if not removed:
+        return Cut(None)
+    limit, below = _order_statistic(tiles, cluster, removed - 1)
+    tied = [
+        tile
+        for tile, place in zip(tiles, below, strict=True)
+        if (tile.ordered(cluster)[place : place + 1] == limit).any()
+    ]
+
+    def rows() -> Iterator[NDArray[np.int64]]:
+        return (tile.rows_at(cluster, limit) for tile in tied)
+
+    return Cut(limit, _row_of_rank(rows, removed - 1 - sum(below)))
 
 
-Keys = tuple[NDArray[np.int32], NDArray[np.uint64]]
+def _cut_by_steps(
+    tiles: Sequence[ScoredTile], cluster: int, count: int, percentage: Fraction
+) -> Cut:
+    finite = _finite(tiles, cluster)
+    wanted = removable_count(percentage, count, finite)
+    if not wanted:
+        return Cut(None)
+    ranks = (*stepped_quartiles(finite), wanted - 1)
+    statistics = [_order_statistic(tiles, cluster, rank)[0] for rank in ranks]
+    return Cut(stepped_threshold(*statistics))
 
 
-def _order_statistics(
-    tiles: Callable[[], Iterable[Keys]], ranks: Sequence[tuple[int, int]]
-) -> tuple[list[int], list[int]]:
-    """Find keys by their rank.
-
-    Parameters
-    ----------
-    tiles : callable
-        Gives, tile by tile, the cluster and the key of points.
-    ranks : sequence of (int, int)
-        Pairs of a cluster and the rank, from zero, of the key wanted in it.
-
-    Returns
-    -------
-    keys : list of int
-        One for each rank.
-    below : list of int
-        How many keys of its cluster are smaller.
-    """
-    prefixes = [0] * len(ranks)
-    missing = [rank for _, rank in ranks]
-    for shift in _DIGITS if ranks else ():
-        # Ranks of one cluster that agree so far share a histogram.
-        wanted = {(cluster, prefix) for (cluster, _), prefix in zip(ranks, prefixes, strict=True)}
-        histograms = {place: np.zeros(_VALUES, np.int64) for place in wanted}
-        for clusters, keys in tiles():
-            for place, histogram in histograms.items():
-                chosen = _agreeing(clusters, keys, place, shift + _DIGIT)
-                digits = (chosen >> np.uint64(shift)) & np.uint64(_VALUES - 1)
-                found = np.bincount(digits.astype(np.int64), minlength=_VALUES)
-                np.add(histogram, found, out=histogram)
-        left: dict[tuple[int, int], int] = {}
-        for slot, (cluster, _) in enumerate(ranks):
-            histogram = histograms[cluster, prefixes[slot]]
-            totals = np.cumsum(histogram)
-            digit = int(np.searchsorted(totals, missing[slot], side="right"))
-            missing[slot] -= int(totals[digit - 1]) if digit else 0
-            prefixes[slot] = prefixes[slot] << _DIGIT | digit
-            left[cluster, prefixes[slot]] = int(histogram[digit])
-        if shift and sum(left.values()) <= _GATHERED:
-            gathered = _gather(tiles, left, shift)
-            for slot, (cluster, _) in enumerate(ranks):
-                keys = gathered[cluster, prefixes[slot]]
-                prefixes[slot] = int(keys[missing[slot]])
-                missing[slot] -= int(np.searchsorted(keys, keys[missing[slot]]))
-            break
-    below = [rank - left for (_, rank), left in zip(ranks, missing, strict=True)]
-    return prefixes, below
+def _finite(tiles: Sequence[ScoredTile], cluster: int) -> int:
+    """Count the points of a cluster whose density is finite."""
+    return sum(_no_larger(tile.ordered(cluster), _INFINITE - 1) for tile in tiles)
 
 
-def _agreeing(
-    clusters: NDArray[np.int32], keys: NDArray[np.uint64], place: tuple[int, int], shift: int
-) -> NDArray[np.uint64]:
-    """Return the keys of a cluster that begin with a prefix, which ends at a bit."""
-    cluster, prefix = place
-    chosen = keys[clusters == cluster]
-    if shift < 64:
-        chosen = chosen[chosen >> np.uint64(shift) == np.uint64(prefix)]
-    return np.asarray(chosen)
+def _order_statistic(
+    tiles: Sequence[ScoredTile], cluster: int, rank: int
+) -> tuple[float, list[int]]:
+    """Find the density of a rank, from zero, in a cluster, and how many each tile has below it."""
+    low, high = 0, _INFINITE
+    begins = [0] * len(tiles)
+    ends = [len(tile.ordered(cluster)) for tile in tiles]
+    while low < high:
+        middle = (low + high) // 2
+        places = [
+            begin + _no_larger(tile.ordered(cluster)[begin:end], middle)
+            for tile, begin, end in zip(tiles, begins, ends, strict=True)
+        ]
+        if sum(places) > rank:
+            high, ends = middle, places
+        else:
+            low, begins = middle + 1, places
+    return float(np.array(low, np.uint64).view(np.float64)), begins
 
 
-def _gather(
-    tiles: Callable[[], Iterable[Keys]], places: Iterable[tuple[int, int]], shift: int
-) -> dict[tuple[int, int], NDArray[np.uint64]]:
-    """Return, sorted, the keys of each cluster that begin with a prefix: they are few."""
-    parts: dict[tuple[int, int], list[NDArray[np.uint64]]] = {place: [] for place in places}
-    for clusters, keys in tiles():
-        for place, found in parts.items():
-            found.append(_agreeing(clusters, keys, place, shift))
-    return {place: np.sort(np.concatenate(found)) for place, found in parts.items()}
+def _no_larger(ordered: NDArray[np.float64], bits: int) -> int:
+    """Count the densities, in their order, whose bits are no larger than these."""
+    # A Python integer would be compared as float64, of which many bits look the same.
+    return int(np.searchsorted(ordered.view(np.uint64), np.uint64(bits), side="right"))
 
 
-def _density_bits(tile: ScoredPoints) -> Keys:
-    finite = np.isfinite(tile.density)
-    return tile.cluster[finite], tile.density[finite].view(np.uint64)
-
-
-def _tied_rows(tile: ScoredPoints, limits: dict[int, float]) -> Keys:
-    limit = np.full(max(limits, default=-1) + 1, np.nan)
-    limit[list(limits)] = list(limits.values())
-    known = tile.cluster < len(limit)
-    tied = np.zeros(len(known), np.bool_)
-    tied[known] = tile.density[known] == limit[tile.cluster[known]]
-    return tile.cluster[tied], tile.rows[tied].astype(np.uint64)
-
-
-def _as_float(bits: int) -> float:
-    return float(np.array(bits, np.uint64).view(np.float64))
+def _row_of_rank(rows: Callable[[], Iterator[NDArray[np.int64]]], rank: int) -> int:
+    """Return the row number of a rank, from zero, of those that tiles give, in any order."""
+    counts = np.zeros(0, np.int64)
+    for of_tile in rows():
+        found = np.bincount(of_tile >> _ROW_BITS, minlength=len(counts))
+        found[: len(counts)] += counts
+        counts = found
+    totals = np.cumsum(counts)
+    leading = int(np.searchsorted(totals, rank, side="right"))
+    left = rank - int(totals[leading] - counts[leading])
+    agreeing = np.concatenate([found[found >> _ROW_BITS == leading] for found in rows()])
+    return int(np.partition(agreeing, left)[left])

@@ -7,9 +7,9 @@ writing, and copies every array twice.
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,21 +51,53 @@ def read_arrays(path: Path, *names: str) -> list[NDArray[Any]]:
         When the file is shorter than it says, or has no such array.
     """
     with path.open("rb") as stream:
-        head = stream.readline()
+        places = _places(path, stream, names)
         try:
-            described = {name: place for name, *place in json.loads(head)}
-            return [_read(stream, len(head), *described[name]) for name in names]
-        except (ValueError, KeyError, TypeError):
-            wanted = ", ".join(names)
-            raise WorkError(
-                f"{path}: expected the arrays {wanted}, found a damaged file; give --fresh"
-            ) from None
+            return [_read(stream, *place) for place in places]
+        except ValueError:
+            raise _damaged(path, names) from None
 
 
-def _read(stream: Any, start: int, kind: str, shape: list[int], place: int) -> NDArray[Any]:
-    stream.seek(start + place)
-    found = np.fromfile(stream, np.dtype(kind), math.prod(shape))
-    return found.reshape(shape)
+def map_array(path: Path, name: str) -> NDArray[Any]:
+    """Return one of a file's arrays without reading it: the system reads what is looked at.
+
+    Raises
+    ------
+    WorkError
+        When the file is shorter than it says, or has no such array.
+    """
+    with path.open("rb") as stream:
+        ((start, kind, shape),) = _places(path, stream, (name,))
+        if not math.prod(shape):
+            return np.empty(shape, kind)  # nothing cannot be mapped
+        try:
+            return np.asarray(np.memmap(stream, kind, "r", start, tuple(shape)))
+        except ValueError:
+            raise _damaged(path, (name,)) from None
+
+
+_Place = tuple[int, np.dtype[Any], list[int]]
+"""First byte, type and shape of an array."""
+
+
+def _places(path: Path, stream: BinaryIO, names: Sequence[str]) -> list[_Place]:
+    head = stream.readline()
+    try:
+        described = {name: place for name, *place in json.loads(head)}
+        wanted = [described[name] for name in names]
+        return [(len(head) + start, np.dtype(kind), shape) for kind, shape, start in wanted]
+    except (ValueError, KeyError, TypeError):
+        raise _damaged(path, names) from None
+
+
+def _damaged(path: Path, names: Sequence[str]) -> WorkError:
+    wanted = ", ".join(names)
+    return WorkError(f"{path}: expected the arrays {wanted}, found a damaged file; give --fresh")
+
+
+def _read(stream: BinaryIO, start: int, kind: np.dtype[Any], shape: list[int]) -> NDArray[Any]:
+    stream.seek(start)
+    return np.fromfile(stream, kind, math.prod(shape)).reshape(shape)
 
 
 def _padded(size: int) -> int:

@@ -25,7 +25,8 @@ from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.labelling import save_cuts
 from pipeline.tiles.row_results import RowResults
-from pipeline.tiles.scoring import first_cluster, scored_points
+from pipeline.tiles.scores import KeptScores
+from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.work import TaskReport, remove_work
 from tiling.atomic import atomic_file
@@ -190,13 +191,8 @@ def _rescaled(
         if present:
             save_cuts(job, present, None)
         return percentages, None
-    tiles = range(len(job.store.layout))
-    cuts = find_cuts(
-        lambda: (scored_points(job, tile) for tile in tiles),
-        present,
-        percentages,
-        removal.threshold,
-    )
+    tiles = [KeptScores(job, tile) for tile in range(len(job.store.layout))]
+    cuts = find_cuts(tiles, present, percentages, removal.threshold)
     save_cuts(job, present, cuts)
     return percentages, cuts
 

@@ -12,11 +12,12 @@ from dynahull.density import SMALLEST_CLUSTER
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER
-from pipeline.selection import Cut, ScoredPoints, find_cuts
+from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.ground import LABEL_NAMES
 from pipeline.tiles.job import Job
 from pipeline.tiles.sampling import shown_points
-from pipeline.tiles.scoring import first_cluster, scored_points
+from pipeline.tiles.scores import KeptScores, scored_points
+from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.work import TaskReport
 
 CUTS_FILE = "cuts.json"
@@ -44,7 +45,7 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     """
     core_rows, labels = job.work.load("ground", tile, *LABEL_NAMES)
     scored = scored_points(job, tile)
-    counts, cuts = _cuts_of(job, tile, scored)
+    counts, cuts = _cuts_of(job, tile)
     removed = []
     place = np.searchsorted(core_rows, scored.rows)
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
@@ -70,7 +71,7 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     return TaskReport(len(core_rows), (*found, *removed))
 
 
-def _cuts_of(job: Job, tile: int, scored: ScoredPoints) -> tuple[list[int], list[Cut]]:
+def _cuts_of(job: Job, tile: int) -> tuple[list[int], list[Cut]]:
     """Return N_i and the cut of every cluster that the tile's points may be in."""
     stored = json.loads((job.root / CUTS_FILE).read_text(encoding="utf-8"))
     if stored["cuts"] is not None:
@@ -79,7 +80,7 @@ def _cuts_of(job: Job, tile: int, scored: ScoredPoints) -> tuple[list[int], list
     counts = list(report.counts[1:]) if report else []
     percentages = tile_percentages(job, counts, stored["counts"])
     threshold = job.configuration.removal.threshold
-    return counts, find_cuts(lambda: [scored], counts, percentages, threshold)
+    return counts, find_cuts([KeptScores(job, tile)], counts, percentages, threshold)
 
 
 def tile_percentages(job: Job, counts: list[int], extremes: list[int]) -> Sequence[Fraction]:

@@ -15,9 +15,8 @@ from pipeline.tiles.ground import (
     region_of,
 )
 from pipeline.tiles.job import Job
+from pipeline.tiles.scores import save_scores
 from pipeline.tiles.work import TaskReport
-
-SCORE_NAMES = ("cluster", "density", "rows")
 
 _NEIGHBOURS_WITHIN = 2.0
 """Metres around a part of a tile that most neighbours are found in; the others are looked for."""
@@ -54,15 +53,9 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         )
         cluster[known[own]], density[known[own]] = scores.cluster, scores.density
         finished_elsewhere += scores.finished_elsewhere
-    job.work.save(
-        "density",
-        tile,
-        cluster=cluster[core],
-        density=density[core],
-        rows=rows[core],
-        centroids=clusters.centroids,
-    )
-    counts = np.bincount(cluster[core], minlength=len(clusters.centroids))
+    scored = ScoredPoints(cluster[core], density[core], rows[core])
+    save_scores(job, tile, scored, clusters.centroids)
+    counts = np.bincount(scored.cluster, minlength=len(clusters.centroids))
     points = int(job.store.layout.counts[tile])
     return TaskReport(points, (finished_elsewhere, *counts.tolist()))
 
@@ -73,11 +66,6 @@ def clusters_of(job: Job, tile: int) -> Clusters:
         return job.clusters
     sample, _ = job.work.load("ground", tile, *SAMPLE_NAMES)
     return fit_clusters(sample, job.configuration.clustering)
-
-
-def scored_points(job: Job, tile: int) -> ScoredPoints:
-    """Return what `score_tile` kept of a tile."""
-    return ScoredPoints(*job.work.load("density", tile, *SCORE_NAMES))
 
 
 def first_cluster(job: Job, tile: int) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pipeline.tiles.array_file import read_arrays, write_arrays
+from pipeline.tiles.array_file import map_array, read_arrays, write_arrays
 from tiling.atomic import atomic_file
 
 WORK_FOLDER = ".dynahull-work"
@@ -98,6 +98,10 @@ class WorkFolder:
     def load(self, stage: str, task: int, *names: str) -> list[NDArray[Any]]:
         """Return arrays of a finished task."""
         return read_arrays(self.path(stage, task, _ARRAYS), *names)
+
+    def map(self, stage: str, task: int, name: str) -> NDArray[Any]:
+        """Return an array of a finished task, of which only what is looked at is read."""
+        return map_array(self.path(stage, task, _ARRAYS), name)
 
     def write_json(self, path: Path, value: Any) -> None:
         """Write a file that appears whole or not at all."""
