@@ -149,7 +149,7 @@ def _order_statistic(
     while low < high:
         middle = (low + high) // 2
         places = [
-            begin + _no_larger(tile.ordered(cluster)[begin:end], middle)
+            begin + (_no_larger(tile.ordered(cluster)[begin:end], middle) if begin < end else 0)
             for tile, begin, end in zip(tiles, begins, ends, strict=True)
         ]
         if sum(places) > rank:
