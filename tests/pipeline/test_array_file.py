@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays, scalar_dtypes
 
 from pipeline.errors import WorkError
-from pipeline.tiles.array_file import read_arrays, write_arrays
+from pipeline.tiles.array_file import map_array, read_arrays, write_arrays
 
 KINDS = scalar_dtypes().filter(lambda kind: kind.kind not in "Mm")
 
@@ -28,6 +28,9 @@ def test_arrays_come_back_in_any_order(tmp_path_factory, written, random):
     for name, found in zip(names, read_arrays(path, *names), strict=True):
         assert (found.dtype, found.shape) == (written[name].dtype, written[name].shape)
         assert found.tobytes() == written[name].tobytes()
+        mapped = map_array(path, name)
+        assert (mapped.dtype, mapped.shape) == (found.dtype, found.shape)
+        assert mapped.tobytes() == found.tobytes()
 
 
 def test_an_array_that_is_no_run_of_memory_comes_back(tmp_path):
@@ -47,6 +50,8 @@ def test_a_damaged_file_is_named(tmp_path, damage):
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(WorkError, match=r"task\.arrays: expected the arrays rows, found a damaged"):
         read_arrays(path, "rows")
+    with pytest.raises(WorkError, match=r"task\.arrays: expected the arrays rows, found a damaged"):
+        map_array(path, "rows")
 
 
 def test_an_array_that_was_not_kept_is_named(tmp_path):

@@ -39,12 +39,19 @@ def test_help_answers_at_once():
     assert monotonic() - begun < 3
 
 
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; from pipeline.cli import app; app(['run', '--help'], standalone_mode=False);"
-        "print(sorted({'numpy', 'scipy', 'sklearn', 'numba', 'pyarrow', 'laspy', 'yaml'}"
-        " & set(sys.modules)), file=sys.stderr)"
-    )
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        (
+            "from pipeline.cli import app; app(['run', '--help'], standalone_mode=False)",
+            {"numpy", "scipy", "sklearn", "numba", "pyarrow", "laspy", "yaml"},
+        ),
+        # Until workers are being started: they import the same, side by side with this process.
+        ("import pipeline.run", {"scipy", "sklearn", "numba", "pyarrow", "distributed"}),
+    ],
+)
+def test_what_is_heavy_is_imported_when_it_is_needed(code, heavy):
+    code = f"import sys; {code}; print(sorted({heavy} & set(sys.modules)), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
 
