@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -103,7 +104,7 @@ def write_pieces(
 
 def read_tile(store: ChunkStore, tile: int) -> Chunk:
     """Gather the points of a tile from all pieces; see `tiling.chunks.assemble`."""
-    runs = list(_runs_of_tile(store, tile))
+    runs = list(_runs_of_all(store).of(tile))
     points = np.empty((sum(count for _, _, count in runs), 4))
     done = 0
     for path, first, count in runs:
@@ -141,32 +142,69 @@ class _Piece:
     checksum: int
 
 
-def _runs_of_tile(store: ChunkStore, tile: int) -> Iterator[tuple[Path, int, int]]:
-    """Yield file, first point and number of points of each run of a tile, in the rows' order."""
-    for piece in _pieces(store):
+@dataclass(frozen=True, slots=True)
+class _Runs:
+    """The runs of points of all pieces, by tile, and those of a tile in the rows' order.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        Of the pieces.
+    tile, piece, first, count : (R,) int64 arrays
+    """
+
+    paths: tuple[Path, ...]
+    tile: Integers
+    piece: Integers
+    first: Integers
+    count: Integers
+
+    def of(self, tile: int) -> Iterator[tuple[Path, int, int]]:
+        """Yield file, first point and number of points of each run of a tile."""
+        found = slice(*np.searchsorted(self.tile, [tile, tile + 1]))
+        columns = (self.piece[found], self.first[found], self.count[found])
+        for piece, first, count in zip(*(column.tolist() for column in columns), strict=True):
+            yield self.paths[piece], first, count
+
+
+def _runs_of_all(store: ChunkStore) -> _Runs:
+    """Return the runs of all pieces; they are read once, for all tiles that a process does."""
+    folder = store.folder / "pieces"
+    changed = folder.stat().st_mtime_ns if folder.exists() else 0
+    return _read_runs(folder, store.key, store.point_count, changed)
+
+
+@lru_cache(maxsize=1)
+def _read_runs(folder: Path, key: bytes, point_count: int, _changed: int) -> _Runs:
+    pieces = _pieces(folder, key, point_count)
+    parts = [np.empty((0, 3), np.int64)]
+    for piece in pieces:
         with piece.path.open("rb") as stream:
             stream.seek(piece.index_start)
             data = stream.read(piece.index_size)
         if zlib.crc32(data) != piece.checksum:
             raise ChunkError(piece.path, "the index that was written", "another one")
-        runs = np.frombuffer(data, np.int64).reshape(-1, 3)
-        for _, first, count in runs[runs[:, 0] == tile].tolist():
-            yield piece.path, first, count
+        parts.append(np.frombuffer(data, np.int64).reshape(-1, 3))
+    runs = np.concatenate(parts)
+    numbers = np.repeat(np.arange(len(pieces)), [len(part) for part in parts[1:]])
+    order = np.argsort(runs[:, 0], kind="stable")
+    tile, first, count = runs[order].T.copy()
+    paths = tuple(piece.path for piece in pieces)
+    return _Runs(paths, tile, numbers[order], first, count)
 
 
-def _pieces(store: ChunkStore) -> list[_Piece]:
+def _pieces(folder: Path, key: bytes, point_count: int) -> list[_Piece]:
     """Return the pieces in the rows' order, having checked that they are all rows of the map."""
-    paths = sorted((store.folder / "pieces").glob("[!.]*.piece"))
-    pieces = sorted((_read_end(path, store.key) for path in paths), key=_rows_of)
+    paths = sorted(folder.glob("[!.]*.piece"))
+    pieces = sorted((_read_end(path, key) for path in paths), key=_rows_of)
     row = 0
     for piece in pieces:
         if piece.rows.start != row:
             expected = f"a piece that begins with row {row}"
             raise ChunkError(piece.path, expected, f"one with row {piece.rows.start}")
         row = piece.rows.stop
-    if row != store.point_count:
-        expected = f"pieces of {store.point_count} points"
-        raise ChunkError(store.folder / "pieces", expected, f"pieces of {row}")
+    if row != point_count:
+        raise ChunkError(folder, f"pieces of {point_count} points", f"pieces of {row}")
     return pieces
 
 
