@@ -121,11 +121,13 @@ def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
     Parameters
     ----------
     invalid : ValidationError
-        Its first error is told.
+        Its first error is told; an unknown key before all others, as a key that is misspelt may be
+        missing as well.
     model : type of BaseModel
         The model that refused.
     """
-    error = invalid.errors()[0]
+    errors = invalid.errors()
+    error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])
     place = ".".join(str(part) for part in error["loc"])
     if error["type"] != "extra_forbidden":
         message = error["msg"].removeprefix("Value error, ")

@@ -45,7 +45,8 @@ def main() -> None:
     # Whatever libraries print goes to the log; no worker inherits where the answer goes.
     answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(message)s")
+    logger.setLevel(logging.INFO)
     signal.signal(signal.SIGTERM, _stop)
     Thread(target=_watch_the_night, daemon=True).start()
     ended = clean_one(Request.from_text(sys.argv[1]), StageObserver(LogDisplay()))

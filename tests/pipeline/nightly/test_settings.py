@@ -76,6 +76,13 @@ def test_every_mistake_is_one_line(tmp_path, wrong, answer):
     assert "\n" not in str(error.value)
 
 
+def test_a_misspelt_key_is_named_and_not_the_one_that_is_missing_for_it(tmp_path):
+    path = tmp_path / "nightly.yaml"
+    path.write_text("input: [{maps: x}]\noutput: out\n")
+    with pytest.raises(ConfigurationError, match="input: no such key; did you mean inputs"):
+        load_nightly_settings(path)
+
+
 @pytest.mark.parametrize(("written", "read"), [("'02:00'", "02:00"), ("22:30", "22:30")])
 def test_the_time_of_day_needs_no_quotes(tmp_path, written, read):
     settings = load_nightly_settings(write(tmp_path), [f"at={written}"])
