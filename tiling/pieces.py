@@ -21,8 +21,7 @@ from tiling.atomic import atomic_file
 from tiling.chunk_store import Chunk, ChunkStore
 from tiling.errors import ChunkError
 from tiling.formats.base import PointBatch
-from tiling.formats.compiled import compiled
-from tiling.layout import NO_TILE, Layout
+from tiling.tile_sorter import TileSorter
 
 POINTS_AT_A_TIME = 1_000_000
 """Points that are read, or sorted by tile, at a time."""
@@ -41,10 +40,7 @@ class PointSource(Protocol):
         """Yield points of a range of rows, in order; see `MapCollection.batches`."""
 
 
-Points = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Boxes = tuple[Points, Points]
-"""Corner of the smallest, and of the largest, coordinates of each tile's box: (T, 2) each."""
 
 
 def write_pieces(
@@ -82,7 +78,7 @@ def write_pieces(
     MapFormatError
         When a file of the map is not what its header announced.
     """
-    sorter = _Sorter(store.layout, store.halo)
+    sorter = TileSorter(store.layout, store.halo)
     runs = [np.empty((0, 3), np.int64)]
     written = 0
     path = store.piece_path(part)
@@ -227,138 +223,3 @@ def _read_end(path: Path, key: bytes) -> _Piece:
     if size != whole:
         raise ChunkError(path, f"a piece of {whole} bytes", f"{size} bytes")
     return _Piece(path, range(start, stop), index_start, index_size, checksum)
-
-
-class _Sorter:
-    """Sorts points by tile, core and halo.
-
-    Parameters
-    ----------
-    layout : Layout
-    halo : float
-        Metres.
-    """
-
-    def __init__(self, layout: Layout, halo: float) -> None:
-        self._layout = layout
-        self._halo = halo
-        self._reached = layout.low - halo, layout.high + halo
-        # In here no other tile's halo reaches: rounding is monotonic, so not by a bit either.
-        self._inner = layout.low + halo, layout.high - halo
-        # For each tile, the others whose halo reaches into its core: found when it is met.
-        self._others: dict[int, Integers] = {}
-
-    def by_tile(
-        self, xyz: Points, first_row: int, most: int
-    ) -> Iterator[tuple[NDArray[np.float64], Integers]]:
-        """Yield points as pieces hold them, sorted by tile, and how many there are of each tile.
-
-        Where they would be more than `most`, they come in several parts.
-        """
-        tiles = self._layout.tile_of(xyz)
-        starts, others = self._tables(tiles)
-        counts = np.zeros(len(self._layout), np.int64)
-        _count(xyz, tiles, starts, others, self._inner, self._reached, counts)
-        total = int(counts.sum())
-        if total > most and len(xyz) > 1:
-            middle = len(xyz) // 2
-            yield from self.by_tile(xyz[:middle], first_row, most)
-            yield from self.by_tile(xyz[middle:], first_row + middle, most)
-            return
-        points = np.empty((total, 4))
-        places = np.cumsum(counts) - counts
-        _place(
-            xyz,
-            tiles,
-            starts,
-            others,
-            self._inner,
-            self._reached,
-            first_row,
-            places,
-            points,
-            points.view(np.int64),
-        )
-        yield points, counts
-
-    def _tables(self, tiles: NDArray[np.int32]) -> tuple[Integers, Integers]:
-        """Return, end to end, the other tiles to look at for points of each tile, and where.
-
-        Those of tile t are others[starts[t] : starts[t + 1]].
-        """
-        sizes = np.zeros(len(self._layout) + 1, np.int64)
-        lists = [np.empty(0, np.int64)]
-        present = np.bincount(tiles + 1, minlength=len(self._layout) + 1)[1:]
-        for tile in np.flatnonzero(present).tolist():
-            if tile not in self._others:
-                self._others[tile] = self._find_others(tile)
-            lists.append(self._others[tile])
-            sizes[tile + 1] = len(lists[-1])
-        return np.cumsum(sizes), np.concatenate(lists)
-
-    def _find_others(self, tile: int) -> Integers:
-        layout = self._layout
-        near = layout.within(layout.low[tile], layout.high[tile], self._halo)
-        return np.asarray(near[near != tile], np.int64)
-
-
-@compiled
-def _is_inside(x: float, y: float, boxes: Boxes, tile: int) -> bool:
-    low, high = boxes
-    along_x = low[tile, 0] <= x < high[tile, 0]
-    return bool(along_x and low[tile, 1] <= y < high[tile, 1])
-
-
-@compiled
-def _count(
-    xyz: Points,
-    tiles: NDArray[np.int32],
-    starts: Integers,
-    others: Integers,
-    inner: Boxes,
-    reached: Boxes,
-    counts: Integers,
-) -> None:
-    """Count the points of each tile, in its core and in its halo."""
-    for point in range(len(xyz)):
-        tile = tiles[point]
-        if tile == NO_TILE:
-            continue
-        counts[tile] += 1
-        if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
-            continue
-        for place in range(starts[tile], starts[tile + 1]):
-            other = others[place]
-            if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
-                counts[other] += 1
-
-
-@compiled
-def _place(
-    xyz: Points,
-    tiles: NDArray[np.int32],
-    starts: Integers,
-    others: Integers,
-    inner: Boxes,
-    reached: Boxes,
-    first_row: int,
-    places: Integers,
-    points: Points,
-    marks: Integers,
-) -> None:
-    """Put each point at the next place of each of its tiles; `marks` are the same bytes."""
-    for point in range(len(xyz)):
-        tile = tiles[point]
-        if tile == NO_TILE:
-            continue
-        points[places[tile], :3] = xyz[point]
-        marks[places[tile], 3] = first_row + point
-        places[tile] += 1
-        if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
-            continue
-        for place in range(starts[tile], starts[tile + 1]):
-            other = others[place]
-            if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
-                points[places[other], :3] = xyz[point]
-                marks[places[other], 3] = ~(first_row + point)
-                places[other] += 1
