@@ -77,6 +77,10 @@ def _chosen(beginnings: Sequence[str]) -> list[Method]:
     methods = all_methods()
     if not beginnings:
         return methods
+    for beginning in beginnings:
+        if not any(each.name.startswith(beginning) for each in methods):
+            names = ", ".join(each.name for each in methods)
+            raise SystemExit(f"--methods: none begins with {beginning!r}; there are {names}")
     return [each for each in methods if each.name.startswith(tuple(beginnings))]
 
 

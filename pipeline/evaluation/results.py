@@ -40,9 +40,14 @@ def evaluate_files(
     PipelineError, TilingError
         With nothing written but, perhaps, the picture.
     """
-    for path in (json_file, picture):
-        if path is not None and not path.absolute().parent.is_dir():
+    for path, kind in ((json_file, ".json"), (picture, ".png")):
+        if path is None:
+            continue
+        if not path.absolute().parent.is_dir():
             raise OutputError(f"{path}: expected a folder to write in, found none")
+        # No map has such a name, so none is ever written over.
+        if path.suffix.lower() != kind:
+            raise OutputError(f"{path}: expected a name that ends in {kind}")
     inputs = find_inputs(cleaned, truth, original, options)
     if picture is not None:
         if inputs.original is None:

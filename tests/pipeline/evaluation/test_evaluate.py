@@ -264,6 +264,16 @@ def test_what_does_not_fit_together_is_one_line(scene, monkeypatch):
         )
 
 
+@pytest.mark.parametrize(("given", "kind"), [("json_file", ".json"), ("picture", ".png")])
+def test_no_map_is_written_over(scene, given, kind):
+    cleaned, before = scene / "cleaned.npy", (scene / "cleaned.npy").read_bytes()
+    with pytest.raises(OutputError, match=rf"cleaned\.npy: expected a name that ends in \{kind}"):
+        evaluate_files(
+            str(cleaned), str(scene / "static.npy"), None, NO_TRANSPORT, **{given: cleaned}
+        )
+    assert cleaned.read_bytes() == before
+
+
 def test_labels_without_a_point_that_moved_are_warned_about(scene):
     found, warnings = figures_of(scene / "cleaned.npy", scene / "labelled.laz", labels="user_data",
                                  dynamic="9", unlabelled="0")  # fmt: skip
