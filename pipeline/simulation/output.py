@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.errors import OutputError
+from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation.campus import simulate_scans
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.products import (
@@ -142,8 +142,10 @@ def _write_drive(
         static = None if map_only else stack.enter_context(PointCloudFile(files.static_truth))
         if not map_only:
             files.scans.mkdir()
+        count = 0
         for scan in simulate_scans(parameters):
             returns = scan.returns
+            count += len(returns)
             cloud.append(point_records(returns.xyz, returns, scan.number))
             truth.append(returns)
             poses.append(scan)
@@ -153,6 +155,11 @@ def _write_drive(
                 own = point_records(scan.in_sensor_frame(), returns, scan.number)
                 write_point_cloud(files.scans / f"{scan.number:06d}.pcd", own)
             advance(len(returns))
+        if not count:
+            raise ConfigurationError(
+                "simulate: expected something within the sensor's range, found nothing from "
+                f"min_range {parameters.min_range:g} to max_range {parameters.max_range:g} m"
+            )
 
 
 def _write_low_activity(parameters: SimulationParameters, files: SimulationFiles) -> None:

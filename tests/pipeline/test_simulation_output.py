@@ -186,3 +186,11 @@ def test_folder_that_cannot_be_made_is_one_clear_line(tmp_path):
     (tmp_path / "taken").write_text("a file")
     with pytest.raises(OutputError, match=r"taken/sub: expected a folder to write in, found Not a"):
         write_simulation(SMALL, tmp_path / "taken" / "sub")
+
+
+@pytest.mark.parametrize("ranges", [{"max_range": 0.1}, {"min_range": 5.0, "max_range": 1.0}])
+def test_a_sensor_that_sees_nothing_leaves_no_map(tmp_path, ranges):
+    parameters = SimulationParameters(scans=2, **ranges)
+    with pytest.raises(ConfigurationError, match="expected something within the sensor's range"):
+        write_simulation(parameters, tmp_path / "out")
+    assert not (tmp_path / "out" / "map.pcd").exists()
