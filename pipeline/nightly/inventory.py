@@ -6,6 +6,7 @@ by programs, so that a file replaced by one of the same size and date is seen as
 """
 
 import glob
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,48 +80,85 @@ def find_maps(
     taken: set[Path] = set()
     output = settings.output.resolve()
     for given, configuration in zip(settings.inputs, configurations, strict=True):
-        if not given.root.exists():
-            problems.append(Problem(given.root, f"{given.root}: no such file or folder"))
-            continue
-        try:
-            for path, files in _maps_of(given):
-                place = path.resolve()
-                own = {file.resolve() for file in files}
-                if own <= taken or place == output or output in place.parents:
-                    continue
-                if not _is_text(path):
-                    name = str(path).encode(errors="replace").decode()
-                    problems.append(Problem(given.root, f"{name}: its name is not UTF-8"))
-                    continue
-                maps.append(FoundMap(path, files, configuration))
-                taken |= own
-        except OSError as error:
-            message = f"{error.filename or given.root}: {error.strerror or error}"
-            problems.append(Problem(given.root, message))
+        for each in _look_into(given):
+            if isinstance(each, Problem):
+                problems.append(each)
+                continue
+            path, files = each
+            place = path.resolve()
+            own = {file.resolve() for file in files}
+            if own <= taken or place == output or output in place.parents:
+                continue
+            if not _is_text(path):
+                name = str(path).encode(errors="replace").decode()
+                problems.append(Problem(given.root, f"{name}: its name is not UTF-8"))
+                continue
+            maps.append(FoundMap(path, files, configuration))
+            taken |= own
     return maps, problems
 
 
-def _maps_of(given: NightlyInput) -> Iterator[tuple[Path, tuple[Path, ...]]]:
-    if given.each == "file":
-        for path in _map_files(given.maps):
-            yield path, (path,)
+def _look_into(given: NightlyInput) -> Iterator[tuple[Path, tuple[Path, ...]] | Problem]:
+    """Yield the maps of an input with their files, and what of it could not be looked at."""
+    try:
+        given.root.stat()
+        yield from _closed_folders(given.maps)
+        if given.each == "file":
+            for path in _map_files(given.maps):
+                yield path, (path,)
+            return
+        folders = _folders(given.maps)
+    except OSError as error:
+        yield _problem(error, given.root)
         return
-    place = Path(given.maps)
-    if place.exists():
-        folders = list(place.iterdir())
-    else:
-        # Path.glob takes no absolute patterns.
-        folders = [Path(each) for each in glob.glob(given.maps, recursive=True)]  # noqa: PTH207
-    for folder in sorted(each for each in folders if each.is_dir()):
-        files = () if folder.name.startswith(".") else _map_files(str(folder))
+    for folder in folders:
+        try:
+            files = _map_files(str(folder))
+        except OSError as error:
+            yield _problem(error, folder)
+            continue
         if files:
             yield folder, files
+
+
+def _problem(error: OSError, place: Path) -> Problem:
+    if isinstance(error, FileNotFoundError):
+        return Problem(place, f"{place}: no such file or folder")
+    return Problem(place, f"{error.filename or place}: {error.strerror or error}")
+
+
+def _closed_folders(pattern: str) -> Iterator[Problem]:
+    """Yield the folders that a pattern leads into and that cannot be read.
+
+    What they hold would else count as gone: to a pattern such folders are empty.
+    """
+    if Path(pattern).exists():
+        return
+    parents = list(Path(pattern).parents)
+    wild = sum(glob.has_magic(str(each)) for each in parents)
+    # And the longest one without a wildcard. A slash at the end means folders only.
+    for start in parents[: wild + 1]:
+        for folder in map(Path, glob.glob(f"{start}/", recursive=True)):  # noqa: PTH207
+            try:
+                with os.scandir(folder):
+                    os.stat(f"{folder}/.")  # noqa: PTH116 (a Path drops the dot)
+            except OSError as error:
+                yield _problem(error, folder)
+
+
+def _folders(maps: str) -> list[Path]:
+    place = Path(maps)
+    # Path.glob takes no absolute patterns.
+    found = list(place.iterdir()) if place.exists() else map(Path, glob.glob(maps, recursive=True))  # noqa: PTH207
+    return sorted(each for each in found if each.is_dir() and not each.name.startswith("."))
 
 
 def _map_files(maps: str) -> tuple[Path, ...]:
     try:
         return find_map_files([maps])
-    except NoMapError:
+    except NoMapError as error:
+        if isinstance(error.__cause__, OSError):
+            raise error.__cause__ from None
         return ()
 
 

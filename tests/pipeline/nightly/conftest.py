@@ -174,8 +174,14 @@ def points_of(seed, count=150):
 
 
 @pytest.fixture
-def place(tmp_path, nothing_waits_for_the_disk):
-    return Place(tmp_path)
+def place_in(nothing_waits_for_the_disk):
+    """Make a place in a folder."""
+    return Place
+
+
+@pytest.fixture
+def place(tmp_path, place_in):
+    return place_in(tmp_path)
 
 
 @pytest.fixture
