@@ -214,8 +214,11 @@ class _Night:
         self.journal.save()
 
     def try_to_clean(self, candidate: Candidate) -> tuple[MapOutcome | None, str | None]:
-        """Return what became of a map, and why; None where the end of the night came first."""
+        """Return what became of a map, and why; None where it was not looked into."""
         found, record = candidate.found, candidate.record
+        if not candidate.is_as_seen():
+            # Written anew, or gone, while others were cleaned: the next look tells which.
+            return None, None
         try:
             known = candidate.content is not None or learn_content(
                 found, record, self.clock.now, self.stop_hashing
@@ -284,11 +287,7 @@ class _Night:
     ) -> tuple[MapOutcome, str | None]:
         """Judge a run that came to no result."""
         record = candidate.record
-        try:
-            same = fingerprint(candidate.found.files) == candidate.states
-        except OSError:
-            same = False
-        if not same:
+        if not candidate.is_as_seen():
             return MapOutcome.WAITING, "it changed while it was cleaned"
         if ended.how == "no space":
             return MapOutcome.NO_SPACE, ended.reason

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
-from pipeline.nightly.inventory import FoundMap, last_change, trusted_content
+from pipeline.nightly.inventory import FoundMap, fingerprint, last_change, trusted_content
 from pipeline.nightly.journal import Fingerprint, MapRecord
 from pipeline.nightly.results import MapFolder, result_key, tasks_done
 from pipeline.nightly.settings import NightlySettings
@@ -36,6 +36,13 @@ class Candidate:
     def of_content(self) -> "Candidate":
         """Return the map as one whose content was read just now."""
         return replace(self, is_read=True)
+
+    def is_as_seen(self) -> bool:
+        """Tell whether its files still are what they were when it was looked at."""
+        try:
+            return fingerprint(self.found.files) == self.states
+        except OSError:
+            return False
 
     @property
     def content(self) -> str | None:

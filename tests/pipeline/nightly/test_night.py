@@ -224,6 +224,21 @@ def test_a_map_that_changes_while_it_is_cleaned_is_not_published_as_the_new_one(
     assert (place.results(path).latest() / "static.npy").read_text() == "two"
 
 
+def test_a_map_that_is_written_anew_before_its_turn_waits_until_it_is_complete(place, outcomes_of):
+    place.write("incoming/a.npy", "one")
+    later = place.write("incoming/b.npy", "two")
+
+    def meddle(request):
+        later.write_text("hal")
+        place.being_written(later)
+
+    place.cleaner.before = meddle
+    assert outcomes_of(place.night()) == {"a.npy": "cleaned", "b.npy": "waiting"}
+    assert place.cleaner.asked == ["a.npy"]
+    place.cleaner.before = lambda request: None
+    assert outcomes_of(place.night()) == {"a.npy": "unchanged", "b.npy": "cleaned"}
+
+
 def test_a_map_that_changes_after_it_was_cleaned_is_cleaned_as_what_it_was(place, outcomes_of):
     path = place.write("incoming/a.npy", "one")
     place.cleaner.after = lambda request: (path.write_text("two"), place.being_written(path))
@@ -328,6 +343,16 @@ def test_a_map_that_vanishes_during_the_night_is_no_failure(place, outcomes_of):
     summary = place.night()
     assert outcomes_of(summary) == {"a.npy": "vanished", "b.npy": "failed"}
     assert [line["map"] for line in place.lines("failed")] == [str(place.incoming / "b.npy")]
+
+
+def test_a_map_that_vanishes_before_its_turn_is_no_failure(place, outcomes_of):
+    place.write("incoming/a.npy", "one")
+    later = place.write("incoming/b.npy", "two")
+    place.cleaner.before = lambda request: later.unlink()
+    summary = place.night()
+    assert outcomes_of(summary) == {"a.npy": "cleaned", "b.npy": "vanished"}
+    assert summary.exit_code == 0
+    assert [line["map"] for line in place.lines()] == [str(place.incoming / "a.npy"), str(later)]
 
 
 def test_an_input_that_is_not_there_is_said_and_nothing_vanishes(place, outcomes_of):
