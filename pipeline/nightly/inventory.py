@@ -185,14 +185,32 @@ def fingerprint(files: tuple[Path, ...]) -> Fingerprint:
     )
 
 
-def last_change(states: Fingerprint, now: float) -> float:
+def last_change(states: Fingerprint, now: float, seen_since: float | None = None) -> float:
     """Return when a map was last written to, seconds since 1970.
 
-    The later of a file's two dates: a copy that keeps dates sets the first one back. Dates in the
-    future, by a clock that is wrong, are none.
+    Of its files the last one; of a file the later of its two dates, since a copy that keeps dates
+    sets the first one back. Dates in the future, by a clock that is or was wrong, are none.
+
+    Parameters
+    ----------
+    states : Fingerprint
+    now : float
+        Seconds since 1970.
+    seen_since : float, optional
+        Since when the map is known to be as it is: for files that have no other date.
     """
-    dates = [date / 1e9 for state in states for date in (state[2], state[3])]
-    return max((date for date in dates if date <= now), default=now)
+    otherwise = now if seen_since is None else min(seen_since, now)
+    return max(max(dates, default=otherwise) for dates in _past_dates(states, now))
+
+
+def lacks_dates(states: Fingerprint, now: float) -> bool:
+    """Tell whether a map has a file both of whose dates are in the future."""
+    return not all(_past_dates(states, now))
+
+
+def _past_dates(states: Fingerprint, now: float) -> list[list[float]]:
+    dates = [[state[2] / 1e9, state[3] / 1e9] for state in states]
+    return [[date for date in of_file if date <= now] for of_file in dates]
 
 
 def trusted_content(record: MapRecord, states: Fingerprint) -> str | None:

@@ -77,6 +77,10 @@ class MapRecord(BaseModel):
         Whether the last attempt was cut off without a step further: others go first then.
     vanished : bool
         Whether the files were gone when last looked for.
+    seen : Fingerprint
+        Of files whose dates are in the future: as they were when last looked at,
+    seen_since : float
+        and since when they have been so, seconds since 1970.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -88,6 +92,8 @@ class MapRecord(BaseModel):
     failure: Failure | None = None
     stalled: bool = False
     vanished: bool = False
+    seen: Fingerprint = ()
+    seen_since: float = 0.0
 
 
 class _Stored(BaseModel):

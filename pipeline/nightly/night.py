@@ -19,10 +19,10 @@ from pipeline.nightly.inventory import (
     Problem,
     find_maps,
     fingerprint,
-    last_change,
+    lacks_dates,
     learn_content,
 )
-from pipeline.nightly.journal import Attempt, Failure, Journal, MapRecord
+from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
 from pipeline.nightly.lock import night_lock
 from pipeline.nightly.minutes import Minutes
 from pipeline.nightly.results import (
@@ -166,6 +166,7 @@ class _Night:
                 continue
             record = self.journal.record(each.path, self.clock.now())
             record.vanished = False
+            note_states(record, states, self.clock.now())
             candidates.append(Candidate(each, states, record, self.folder_of(each.path)))
         self.note_vanished({str(each.path) for each in found})
         self.journal.save()
@@ -329,7 +330,7 @@ class _Night:
         left = (self.settings.wait or 0) - self.waited
         if not open_ones or left <= 0:
             return False
-        first = min(last_change(each.states, now) for each in open_ones) + self.settings.settle
+        first = min(each.last_change(now) for each in open_ones) + self.settings.settle
         seconds = min(max(first - now, 1.0), _LONGEST_SLEEP, left)
         if not self.waited:
             logger.info("waiting for %d maps that are still being written", len(open_ones))
@@ -375,6 +376,14 @@ class _Night:
     def folder_of(self, path: Path) -> MapFolder:
         """Return where the results of a map lie."""
         return MapFolder(self.settings.output / map_name(path))
+
+
+def note_states(record: MapRecord, states: Fingerprint, now: float) -> None:
+    """Remember since when a map is as it is, where the dates of its files do not tell."""
+    if not lacks_dates(states, now):
+        record.seen = ()
+    elif record.seen != states or record.seen_since > now:
+        record.seen, record.seen_since = states, now
 
 
 class _NightOverError(Exception):

@@ -37,6 +37,11 @@ class Candidate:
         """Return the map as one whose content was read just now."""
         return replace(self, is_read=True)
 
+    def last_change(self, now: float) -> float:
+        """Return when the map was last written to, seconds since 1970."""
+        known = self.record.seen == self.states
+        return last_change(self.states, now, self.record.seen_since if known else None)
+
     def is_as_seen(self) -> bool:
         """Tell whether its files still are what they were when it was looked at."""
         try:
@@ -67,7 +72,7 @@ def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapO
     now : float
         Seconds since 1970.
     """
-    if now - last_change(candidate.states, now) < settings.settle:
+    if now - candidate.last_change(now) < settings.settle:
         return MapOutcome.WAITING
     if candidate.folder.result(candidate.key) is not None:
         return MapOutcome.UNCHANGED

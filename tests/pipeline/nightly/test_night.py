@@ -7,6 +7,7 @@ import pytest
 
 from pipeline.errors import NightlyError
 from pipeline.nightly.exchange import Ended
+from pipeline.nightly.inventory import last_change
 from pipeline.nightly.results import is_finished
 
 
@@ -205,6 +206,41 @@ def test_a_date_in_the_future_does_not_make_a_file_wait(place, outcomes_of):
     path = place.write("incoming/a.npy", "one")
     os.utime(path, (4e9, 4e9))
     assert outcomes_of(place.night()) == {"a.npy": "cleaned"}
+
+
+def test_a_file_from_a_clock_that_was_ahead_is_cleaned_when_it_stays_as_it_is(place, outcomes_of):
+    path = place.write("incoming/a.npy", "one")
+    place.clock.time -= 20 * 86400  # to it, both dates of the file are in the future
+    assert outcomes_of(place.night()) == {"a.npy": "waiting"}
+    path.write_text("more")
+    assert outcomes_of(place.night()) == {"a.npy": "waiting"}
+    assert outcomes_of(place.night()) == {"a.npy": "cleaned"}
+    assert outcomes_of(place.night()) == {"a.npy": "unchanged"}
+    assert [content for _, content in place.cleaner.done] == [b"more"]
+
+
+def test_a_night_waits_for_a_file_from_a_clock_that_was_ahead(place, outcomes_of):
+    place.write("incoming/a.npy", "one")
+    place.clock.time -= 20 * 86400
+    assert outcomes_of(place.night("wait=30 min")) == {"a.npy": "cleaned"}
+
+
+def test_a_clock_that_is_set_back_makes_nothing_be_cleaned_again(place, outcomes_of):
+    place.write("incoming/a.npy", "one")
+    place.night()
+    place.clock.time -= 20 * 86400
+    for _ in range(3):
+        assert outcomes_of(place.night())["a.npy"] in ("waiting", "unchanged")
+    assert len(place.cleaner.done) == 1
+
+
+def test_a_file_of_a_folder_whose_dates_are_ahead_may_still_be_written():
+    now, old, ahead = 1e9, 9_000 * 10**9, round((1e9 + 20) * 1e9)
+    complete = ("a.npy", 1, old, ahead, 1)
+    growing = ("b.npy", 1, ahead, ahead, 2)
+    assert last_change((complete,), now) == 9_000
+    assert last_change((complete, growing), now) == now
+    assert last_change((complete, growing), now, now - 70) == now - 70
 
 
 def test_a_map_that_changes_while_it_is_cleaned_is_not_published_as_the_new_one(place, outcomes_of):
