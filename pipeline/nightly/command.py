@@ -50,7 +50,7 @@ def nightly_command(
     if install:
         from pipeline.nightly.install import install_text  # noqa: PLC0415
 
-        typer.echo(install_text(found, source))
+        typer.echo(install_text(found, source, settings or []))
         return
 
     from pipeline.nightly.cleaner import ChildProcess  # noqa: PLC0415

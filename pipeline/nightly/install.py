@@ -44,15 +44,24 @@ WantedBy=timers.target
 """
 
 
-def nightly_call(source: Path) -> list[str]:
-    """Return the words that start the night, wherever they are called from."""
+def nightly_call(source: Path, given: Sequence[str] = ()) -> list[str]:
+    """Return the words that start the night, wherever they are called from.
+
+    Parameters
+    ----------
+    source : Path
+        The YAML file.
+    given : sequence of str
+        `key=value`, as given to `--set`.
+    """
     # The name a virtual environment gives it, not what that is a link to.
     script = Path(sys.executable).with_name("dynahull-pipeline")
     program = [str(script)] if script.is_file() else [sys.executable, "-P", "-m", "pipeline"]
-    return [*program, "nightly", str(source.absolute())]
+    settings = [word for each in given for word in ("--set", each)]
+    return [*program, "nightly", str(source.absolute()), *settings]
 
 
-def crontab_line(settings: NightlySettings, source: Path) -> str:
+def crontab_line(settings: NightlySettings, source: Path, given: Sequence[str] = ()) -> str:
     """Return the line of a crontab.
 
     The log goes into a file; only of a night that did not go well does cron have something to mail.
@@ -61,7 +70,7 @@ def crontab_line(settings: NightlySettings, source: Path) -> str:
     output = shlex.quote(str(settings.output))
     log = shlex.quote(str(settings.output / LOG_FILE))
     index = shlex.quote(f"see {settings.output / INDEX_FILE}")
-    call = shlex.join(nightly_call(source))
+    call = shlex.join(nightly_call(source, given))
     command = (
         f"mkdir -p {output} && {{ {call} >> {log} 2>&1 || "
         f'echo "dynahull-pipeline nightly: exit code $?," {index}; }}'
@@ -71,9 +80,9 @@ def crontab_line(settings: NightlySettings, source: Path) -> str:
     return f"{minute} {hour} * * * {escaped}"
 
 
-def systemd_service(source: Path) -> str:
+def systemd_service(source: Path, given: Sequence[str] = ()) -> str:
     """Return the service unit."""
-    program, *arguments = nightly_call(source)
+    program, *arguments = nightly_call(source, given)
     # In arguments, and only there, $ begins the name of a variable.
     words = [program, *(word.replace("$", "$$") for word in arguments)]
     command = " ".join(_systemd_word(word) for word in words)
@@ -86,23 +95,31 @@ def systemd_timer(settings: NightlySettings) -> str:
     return _TIMER.format(at=f"{hour:02d}:{minute:02d}")
 
 
-def install_text(settings: NightlySettings, source: Path) -> str:
+def install_text(settings: NightlySettings, source: Path, given: Sequence[str] = ()) -> str:
     """Return all that `--install` prints; nothing is installed by it.
+
+    Parameters
+    ----------
+    settings : NightlySettings
+    source : Path
+        The YAML file.
+    given : sequence of str
+        What `--set` changed of it, which the nights are given as well.
 
     Raises
     ------
     ConfigurationError
-        When a path holds what a line cannot.
+        When a path or a setting holds what a line cannot.
     """
-    _refuse_line_breaks([str(source.absolute()), str(settings.output), sys.executable])
+    _refuse_line_breaks([str(source.absolute()), str(settings.output), sys.executable, *given])
     return "\n".join(
         [
             "# For cron: this line, by `crontab -e`.",
-            crontab_line(settings, source),
+            crontab_line(settings, source, given),
             "",
             "# Or for systemd, /etc/systemd/system/:",
             f"# ---- {_UNIT}.service",
-            systemd_service(source),
+            systemd_service(source, given),
             f"# ---- {_UNIT}.timer",
             systemd_timer(settings),
             f"# and then: systemctl daemon-reload && systemctl enable --now {_UNIT}.timer",
@@ -116,7 +133,7 @@ def _systemd_word(word: str) -> str:
     return f'"{word}"'
 
 
-def _refuse_line_breaks(paths: Sequence[str]) -> None:
-    for path in paths:
-        if not path.isprintable():
-            raise ConfigurationError(f"{path!r}: expected a path of printable characters")
+def _refuse_line_breaks(words: Sequence[str]) -> None:
+    for word in words:
+        if not word.isprintable():
+            raise ConfigurationError(f"{word!r}: expected printable characters in one line")

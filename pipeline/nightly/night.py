@@ -196,6 +196,8 @@ class _Night:
 
     def clean(self, candidate: Candidate) -> None:
         """Clean a map, if its content is really new, and put down what became of it."""
+        if not candidate.is_as_seen():
+            return  # written anew, or gone, while others were cleaned: the next look tells which
         begun = self.clock.monotonic()
         outcome, reason = self.try_to_clean(candidate)
         if outcome is None:
@@ -215,11 +217,8 @@ class _Night:
         self.journal.save()
 
     def try_to_clean(self, candidate: Candidate) -> tuple[MapOutcome | None, str | None]:
-        """Return what became of a map, and why; None where it was not looked into."""
+        """Return what became of a map, and why; None where the end of the night came first."""
         found, record = candidate.found, candidate.record
-        if not candidate.is_as_seen():
-            # Written anew, or gone, while others were cleaned: the next look tells which.
-            return None, None
         try:
             known = candidate.content is not None or learn_content(
                 found, record, self.clock.now, self.stop_hashing

@@ -73,6 +73,22 @@ def test_the_command_prints_both_and_installs_nothing(awkward):
     assert os.listdir(awkward.parent) == ["incoming", "nightly.yaml"]  # noqa: PTH208
 
 
+def test_what_was_set_beside_the_file_holds_for_the_nights_as_well(awkward):
+    given = "inputs=[{maps: '50% of $HOME/*.npy'}]"
+    done = subprocess.run(
+        [*COMMAND, str(awkward), "--set", given, "--set", "output=there", "--install"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    line = next(line for line in done.stdout.splitlines() if line.startswith("0 2 * * * "))
+    words = shlex.split(line.replace("\\%", "%"))
+    at = words.index(str(awkward)) + 1
+    assert words[at : at + 4] == ["--set", given, "--set", "output=there"]
+    assert str(awkward.parent / "there" / "nightly.log") in words
+    service = next(line for line in done.stdout.splitlines() if line.startswith("ExecStart="))
+    escaped = given.replace("%", "%%").replace("$", "$$")
+    assert service.endswith(f'"--set" "{escaped}" "--set" "output=there"')
+
+
 @pytest.fixture
 def cron():
     """A cron daemon, and the crontab of this user, which is put back as it was."""
