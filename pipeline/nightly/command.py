@@ -35,7 +35,11 @@ def nightly_command(
     signal, 2 wrong configuration, 1 anything else.
     """
     from pipeline.configuration import NIGHTLY_EXAMPLE, configurations_folder  # noqa: PLC0415
-    from pipeline.errors import ConfigurationError, NightLockedError  # noqa: PLC0415
+    from pipeline.errors import (  # noqa: PLC0415
+        ConfigurationError,
+        NightLockedError,
+        NightlyError,
+    )
 
     if example:
         text = (configurations_folder() / NIGHTLY_EXAMPLE).read_text(encoding="utf-8")
@@ -66,4 +70,7 @@ def nightly_command(
     except NightLockedError as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(EXIT_LOCKED) from None
+    except OSError as error:
+        place = error.filename or found.output
+        raise NightlyError(f"{place}: {error.strerror or error}") from error
     raise typer.Exit(EXIT_WELL if summary.exit_code is None else summary.exit_code)

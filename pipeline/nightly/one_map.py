@@ -4,6 +4,7 @@ Its argument is its request; it says on standard output what became of it, and s
 SIGTERM. When standard input ends, the night was killed, and it stops as well.
 """
 
+import errno
 import logging
 import os
 import signal
@@ -17,6 +18,9 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from tiling.errors import TilingError
 
+_FULL = (os.strerror(errno.ENOSPC), os.strerror(errno.EDQUOT))
+"""What the system says of a disk that is full, and of a user who may take no more of it."""
+
 logger = logging.getLogger("dynahull")
 
 
@@ -29,7 +33,9 @@ def clean_one(request: Request, observer: StageObserver) -> Ended:
     except DiskSpaceError as error:
         return Ended("no space", _one_line(error))
     except (TilingError, DynaHullError, PipelineError, OSError, MemoryError) as error:
-        return Ended("failed", _one_line(error))
+        reason = _one_line(error)
+        # Others filled the disk meanwhile; errors of workers come as text.
+        return Ended("no space" if any(each in reason for each in _FULL) else "failed", reason)
     except Exception as error:
         logger.exception("this is a defect of dynahull-pipeline; please report it")
         return Ended("failed", f"defect: {type(error).__name__}: {_one_line(error)}")

@@ -1,5 +1,6 @@
 """One night after the other, each map quickly copied instead of cleaned: what is done, and why."""
 
+import errno
 import json
 import os
 
@@ -9,6 +10,12 @@ from pipeline.errors import NightlyError
 from pipeline.nightly.exchange import Ended
 from pipeline.nightly.inventory import last_change
 from pipeline.nightly.results import is_finished
+from pipeline.tiles import stages
+
+TINY = (
+    "neighbours.k=8, clustering.count=2, ground.method=none, tiling.max_points=100, "
+    "tiling.halo=0.3, execution.cluster=none, output.report=none"
+)
 
 
 class PowerCutError(BaseException):
@@ -448,6 +455,29 @@ def test_space_found_wanting_by_the_plan_of_a_run_is_no_failure_of_the_map(place
     place.write("incoming/a.npy", "one")
     place.cleaner._clean = lambda request: Ended("no space", "too little")
     assert [outcomes_of(place.night())["a.npy"] for _ in range(3)] == ["no space"] * 3
+
+
+@pytest.mark.parametrize("tiles", [False, True])
+def test_a_disk_that_others_fill_meanwhile_is_no_failure_of_the_map(
+    real_place, map_bytes, outcomes_of, monkeypatch, tiles
+):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "somewhere")
+
+    place = real_place
+    path = place.write("incoming/a.npy", map_bytes(1, 150 if tiles else 90))
+    in_this_process = f"inputs=[{{maps: incoming, settings: [{TINY}]}}]"
+    with monkeypatch.context() as patch:
+        if tiles:
+            patch.setitem(stages.TASKS, "density", full)
+        else:
+            patch.setattr("pipeline.in_memory.write_maps", full)
+        summary = place.night(in_this_process)
+    assert outcomes_of(summary) == {"a.npy": "no space"}
+    assert "No space left on device" in summary.maps[0].reason
+    assert summary.exit_code == 4
+    assert place.results(path).latest() is None
+    assert outcomes_of(place.night(in_this_process)) == {"a.npy": "cleaned"}
 
 
 def test_a_killed_night_goes_on_and_nothing_is_done_twice(place, monkeypatch):

@@ -94,6 +94,14 @@ def test_a_wrong_file_is_one_line_and_code_2(place):
     assert not place.output.exists()
 
 
+def test_a_folder_that_cannot_be_written_is_one_line_that_names_it(place):
+    place.output.write_text("a file where the folder should be")
+    code, log = ended(night(place))
+    assert code == 1
+    assert log.startswith(f"error: {place.output}")
+    assert len(log.splitlines()) == 1
+
+
 def test_a_night_that_is_stopped_leaves_work_that_goes_on(place, map_bytes):
     path = place.write("incoming/a.npy", map_bytes(1, 4000))
     settled(path)
