@@ -14,6 +14,8 @@ from tiling.atomic import atomic_file
 LINES_FILE = "nightly.jsonl"
 SUMMARY_FILE = "nightly.json"
 
+_EARLIER_LINES_FILE = f"{LINES_FILE}.1"
+
 EXIT_WELL = 0
 EXIT_SOME_FAILED = 4
 EXIT_LOCKED = 75
@@ -159,18 +161,19 @@ def append_line(folder: Path, line: MapLine) -> None:
 
 
 def was_cleaned(folder: Path, run: str) -> bool:
-    """Tell whether `nightly.jsonl` says of a result that it was made."""
-    path = folder / LINES_FILE
-    if not path.is_file():
-        return False
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        for text in stream:
-            try:
-                line = json.loads(text)
-            except ValueError:  # cut off by a kill
-                continue
-            if line.get("outcome") == MapOutcome.CLEANED and line.get("run") == run:
-                return True
+    """Tell whether `nightly.jsonl`, or the one before it, says of a result that it was made."""
+    # What was said last may have been put aside since.
+    for path in (folder / LINES_FILE, folder / _EARLIER_LINES_FILE):
+        if not path.is_file():
+            continue
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            for text in stream:
+                try:
+                    line = json.loads(text)
+                except ValueError:  # cut off by a kill
+                    continue
+                if line.get("outcome") == MapOutcome.CLEANED and line.get("run") == run:
+                    return True
     return False
 
 
@@ -178,4 +181,4 @@ def put_long_file_aside(folder: Path) -> None:
     """Begin a new `nightly.jsonl` where the old one is long."""
     path = folder / LINES_FILE
     if path.is_file() and path.stat().st_size > _LARGEST:
-        path.replace(path.with_name(f"{LINES_FILE}.1"))
+        path.replace(folder / _EARLIER_LINES_FILE)
