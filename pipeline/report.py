@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict
 
@@ -133,11 +133,15 @@ class RunReport(BaseModel):
             points=collection.point_count,
             counts=counts,
             clusters=[ClusterReport.of(cluster) for cluster in clusters],
-            seconds={stage: round(seconds, 3) for stage, seconds in observer.seconds.items()},
+            seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
             warnings=observer.warnings,
             configuration=configuration.model_dump(mode="json"),
         )
+
+    def with_seconds(self, observer: StageObserver) -> Self:
+        """Return the report with the stages there are now."""
+        return self.model_copy(update={"seconds": _seconds(observer)})
 
     def to_json(self) -> str:
         """Return the text of `run.json`."""
@@ -174,6 +178,10 @@ class RunReport(BaseModel):
             written.append(folder / REPORT_FILE)
         lines.append("written: " + ", ".join(str(path) for path in [*written, folder / RUN_FILE]))
         return "\n".join(lines)
+
+
+def _seconds(observer: StageObserver) -> dict[str, float]:
+    return {stage: round(seconds, 3) for stage, seconds in observer.seconds.items()}
 
 
 def _input_files(collection: MapCollection, names: OutputNames) -> list[InputFile]:

@@ -28,7 +28,9 @@ from pipeline.outputs import (
 )
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
-from pipeline.report_page.page import render_page
+from pipeline.report_page.page import Views, render_page
+from pipeline.report_page.sample import MapSample
+from pipeline.report_page.tile_chart import TileWork
 from pipeline.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.workers import prepare_workers
@@ -127,11 +129,27 @@ def run(
         )
         (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
         if cleaned.sample is not None:
-            page = render_page(report, cleaned.sample, cleaned.tiles)
-            (staging / REPORT_FILE).write_text(page, encoding="utf-8")
+            report = _write_page(staging, report, cleaned.sample, cleaned.tiles, observer)
         (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     if not configuration.output.keep_work:
         remove_work(work)
+    return report
+
+
+def _write_page(
+    staging: Path,
+    report: RunReport,
+    sample: MapSample,
+    tiles: TileWork | None,
+    observer: StageObserver,
+) -> RunReport:
+    """Write the report to look at; return that of `run.json`, which knows how long it took."""
+    observer.stage("report", len(sample))
+    views = Views.of(report, sample)
+    observer.advance(len(sample))
+    observer.finish()
+    report = report.with_seconds(observer)
+    (staging / REPORT_FILE).write_text(render_page(report, views, tiles), encoding="utf-8")
     return report
 
 

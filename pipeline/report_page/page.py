@@ -2,9 +2,10 @@
 
 import json
 import re
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
@@ -35,37 +36,62 @@ _POLICY = (
 )
 
 
-def render_page(report: RunReport, sample: MapSample, tiles: TileWork | None) -> str:
+@dataclass(frozen=True, slots=True)
+class Views:
+    """What of a page takes time: measured before the rest, which tells how long it took.
+
+    Attributes
+    ----------
+    sample : MapSample
+        What the views show.
+    amounts : Amounts
+    encoded : EncodedSample
+    densities : str
+        HTML.
+    """
+
+    sample: MapSample
+    amounts: Amounts
+    encoded: EncodedSample
+    densities: str
+
+    @classmethod
+    def of(cls, report: RunReport, sample: MapSample) -> Self:
+        """Prepare the views of a run."""
+        amounts = removal_amounts(sample, report.clusters, report.configuration["removal"])
+        densities = _densities(sample, report, amounts)
+        return cls(sample, amounts, encode(sample, amounts), densities)
+
+
+def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
     """Return the page of a run, as HTML.
 
     Parameters
     ----------
     report : RunReport
         Every figure of the page is one of it, or is told to be an estimate.
-    sample : MapSample
-        What the views show.
+    views : Views
     tiles : TileWork or None
         None where the map was one tile, cleaned in memory.
     """
     removal = report.configuration["removal"]
-    amounts = removal_amounts(sample, report.clusters, removal)
     contents = {
         "title": escape(_title(report)),
         "subtitle": _subtitle(report),
         "figures": _figures(report),
         "warnings": _warnings(report),
         "files": _files(report),
-        "note": _sample_note(sample, amounts, removal),
+        "note": _sample_note(views.sample, views.amounts, removal),
         "rescale": rescale_chart(report.clusters, removal),
         "equation": _equation(removal),
         "clusters": _cluster_table(report),
-        "densities": _densities(sample, report, amounts),
+        "densities": views.densities,
         "tiles": _tiles(report, tiles),
         "stages": stage_chart(report.seconds),
         "configuration": escape(yaml.safe_dump(report.configuration, sort_keys=False)),
         "policy": _POLICY,
         "style": _template("page.css"),
-        "data": _data(report, encode(sample, amounts), amounts),
+        "data": _data(report, views.encoded, views.amounts),
         "scripts": "\n".join(f"<script>\n{_template(name)}\n</script>" for name in _SCRIPTS),
     }
     # In one pass: nothing is looked for in what was put in.

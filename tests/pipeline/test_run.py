@@ -78,7 +78,7 @@ def test_the_report_says_what_was_done(map_file, tmp_path):
     assert report["files"][0]["size_bytes"] == map_file.stat().st_size
     assert len(report["input_hash"]) == 64
     assert list(report["seconds"]) == [
-        "hashing", "reading", "ground", "clustering", "density", "write",
+        "hashing", "reading", "ground", "clustering", "density", "write", "report",
     ]  # fmt: skip
     assert report["peak_memory_bytes"] > 10**7
     counts = [cluster["count"] for cluster in report["clusters"]]

@@ -64,6 +64,7 @@ def test_the_figures_are_those_of_run_json(cleaned, name):
         assert f"{cluster['threshold']:.4g}" in words
     for stage in report["seconds"]:
         assert stage in words
+    assert report["seconds"]["report"] > 0
     written = re.search(r"<pre>(.*?)</pre>", page, re.DOTALL)[1]
     assert yaml.safe_load(unescape(written)) == report["configuration"]
     assert "report.html" in report["outputs"]
