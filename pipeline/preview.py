@@ -38,6 +38,9 @@ _LOOKED_AT = 2_000_000
 _LOOKS = 2_000
 """Places of the file that they are read from: near in a file is often near in the map."""
 
+_LOOKS_INTO_CHUNKS = 50
+"""The same of compressed files: whatever is wanted of a chunk, all before it must be decoded."""
+
 
 @dataclass(frozen=True, slots=True)
 class Window:
@@ -203,8 +206,10 @@ def _look_at(collection: MapCollection, observer: StageObserver) -> Survey:
     seekable = all(reader.seekable for reader in collection.readers)
     ranges = [range(total)]
     if seekable and total > 2 * _LOOKED_AT:
-        starts = [total * look // _LOOKS for look in range(_LOOKS)]
-        ranges = [range(start, start + _LOOKED_AT // _LOOKS) for start in starts]
+        records = all(reader.writes_parts for reader in collection.readers)
+        looks = _LOOKS if records else _LOOKS_INTO_CHUNKS
+        starts = [total * look // looks for look in range(looks)]
+        ranges = [range(start, start + _LOOKED_AT // looks) for start in starts]
     observer.stage("looking", sum(len(rows) for rows in ranges))
     return survey_batches(_batches(collection, ranges, observer))
 

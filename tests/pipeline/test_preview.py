@@ -12,6 +12,7 @@ from pipeline.preview import SMALLEST_SIDE, WHOLE, Window, preview, typical_wind
 from pipeline.progress import LogDisplay, StageObserver
 from tiling.formats import open_map
 from tiling.formats.base import PointBatch
+from tiling.formats.collection import MapCollection
 from tiling.survey import survey_batches
 
 FAST = ("ground.method=none", "clustering.count=2", "neighbours.k=10")
@@ -155,6 +156,33 @@ def command(*arguments, folder):
     return subprocess.run(
         [*program, *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False
     )
+
+
+@pytest.mark.parametrize(("suffix", "looks"), [(".las", 100), (".laz", 4)])
+def test_a_large_map_is_looked_at_in_places_and_compressed_ones_in_few(
+    tmp_path, monkeypatch, suffix, looks
+):
+    """To read a place of a chunk, all of the chunk before it must be decoded."""
+    for name, value in (("_LOOKED_AT", 1_000), ("_LOOKS", 100), ("_LOOKS_INTO_CHUNKS", 4)):
+        monkeypatch.setattr(f"pipeline.preview.{name}", value)
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales = np.full(3, 0.001)
+    las = laspy.LasData(header)
+    las.xyz = hall()
+    las.write(tmp_path / f"hall{suffix}")
+    read = []
+    true_batches = MapCollection.batches
+
+    def batches(collection, *arguments, rows=None):
+        read.append(rows)
+        return true_batches(collection, *arguments, rows=rows)
+
+    monkeypatch.setattr(MapCollection, "batches", batches)
+    previewed([tmp_path / f"hall{suffix}"], tmp_path / "out")
+    looked_at = [rows for rows in read if rows is not None]
+    assert [len(rows) for rows in looked_at] == [1_000 // looks] * looks
+    assert looked_at[0].start == 0
+    assert looked_at[-1].start == 6_000 * (looks - 1) // looks
 
 
 def test_the_command_says_where_the_report_is(map_file, tmp_path):
