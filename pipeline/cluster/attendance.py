@@ -23,9 +23,6 @@ logger = logging.getLogger("dynahull")
 _LOOK_EVERY = 2.0
 """Seconds between two looks at who is there, which costs nothing."""
 
-_SILENT = 30.0
-"""Seconds after which a job that runs, and whose workers are gone, is given up with its node."""
-
 _SAY_EVERY = 60.0
 """Seconds between two lines that say that no worker is there."""
 
@@ -140,7 +137,8 @@ class Attendance:
         if job not in self._last_seen:
             return not state.alive
         # One that waits again was preempted, or its node failed: a new one waits no longer.
-        return state.phase is not Phase.RUNNING or now - self._last_seen[job] > _SILENT
+        silence = now - self._last_seen[job]
+        return state.phase is not Phase.RUNNING or silence > self._parameters.silence
 
     def _give_up(self, names: list[str]) -> None:
         """Forget jobs that are lost; others will take their places."""

@@ -123,6 +123,12 @@ class ClusterParameters(BaseModel):
         description="Seconds between two questions to the batch system, asked only while workers "
         "are missing.",
     )
+    silence: Seconds = Field(
+        30,
+        description="Seconds after which a job is given up whose workers are gone, though the "
+        "batch system says that it runs: its node is lost. A worker that took too much memory "
+        "begins anew within that time.",
+    )
     dashboard: str | None = Field(
         None,
         description="Address of the dashboard, such as 0.0.0.0:8787 for everybody; null: a free "
