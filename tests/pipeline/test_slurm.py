@@ -1,9 +1,9 @@
 """Runs on a real SLURM, started on this machine: workers and nodes are lost, the bytes are not."""
 
-import json
 import os
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -15,26 +15,68 @@ pytestmark = pytest.mark.skipif(REASON is not None, reason=f"no SLURM: {REASON}"
 
 SETTINGS = [
     "ground.method=none", "tiling.max_points=450", "output.labels=true",
-    "cluster.interface=lo", "cluster.check_every=1", "cluster.workers=2", "cluster.memory=1GiB",
+    "cluster.interface=lo", "cluster.check_every=1", "cluster.silence=10",
+    "cluster.workers=2", "cluster.memory=1GiB",
     "cluster.run.memory=1GiB",
 ]  # fmt: skip
 RESULTS = ("static.npy", "dynamic.npy", "labels.parquet")
 DONE_WITHIN = 120
 
-SLOW = """
+GATE = """
 import time
+from pathlib import Path
+from distributed.core import Status
 from pipeline.tiles import stages
 
 def dask_setup(worker):
-    score_tile = stages.TASKS["density"]
+    score_tile, gate = stages.TASKS["density"], Path({gate!r})
 
-    def score_tile_slowly(job, tile):
-        time.sleep(2)
+    def may_pass():
+        for ticket in gate.glob("ticket-*"):
+            try:
+                ticket.unlink()
+            except FileNotFoundError:  # taken by another one
+                continue
+            return True
+        return (gate / "open").exists()
+
+    def score_tile_when_let(job, tile):
+        while worker.status == Status.running and not may_pass():
+            time.sleep(0.05)
         return score_tile(job, tile)
 
-    stages.TASKS["density"] = score_tile_slowly
+    stages.TASKS["density"] = score_tile_when_let
 """
-"""Loaded by workers: tasks take two seconds, so that there is something to be in the middle of."""
+"""Loaded by workers: they wait in the middle of their work until they are let on, or must leave."""
+
+
+class Gate:
+    """What workers wait at.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder):
+        self._folder = folder
+        folder.mkdir()
+        preload = folder / "gate.py"
+        preload.write_text(GATE.format(gate=str(folder)), encoding="utf-8")
+        self.setting = f"cluster.prologue=[export DASK_DISTRIBUTED__WORKER__PRELOAD={preload}]"
+
+    def let_one_pass(self):
+        """Let one task be done."""
+        (self._folder / f"ticket-{time.monotonic_ns()}").touch()
+
+    def open(self):
+        """Hold nobody any more."""
+        (self._folder / "open").touch()
+
+
+@pytest.fixture
+def gate(tmp_path):
+    return Gate(tmp_path / "gate")
 
 
 @pytest.fixture(scope="module")
@@ -49,15 +91,6 @@ def map_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("map") / "map.npy"
     np.save(path, np.random.default_rng(0).uniform(size=(6_000, 3)) * [40, 30, 2])
     return path
-
-
-@pytest.fixture(scope="module")
-def slowly(tmp_path_factory):
-    """The setting that makes workers slow."""
-    path = tmp_path_factory.mktemp("slow") / "slow.py"
-    path.write_text(SLOW, encoding="utf-8")
-    preload = f"export DASK_DISTRIBUTED__WORKER__PRELOAD={path}"
-    return f"cluster.prologue=[{preload}]"
 
 
 @pytest.fixture(scope="module")
@@ -96,12 +129,8 @@ def command(*words, slurm=None):
 
 
 def density_tasks_done(folder):
-    """Return how many tasks of the density stage are done, -1 before it."""
-    try:
-        state = json.loads((folder / ".dynahull-work/state.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return -1
-    return state["done_tasks"] if state["stage"] == "density" else -1
+    """Return how many tasks of the density stage are done, by their markers."""
+    return len(list((folder / ".dynahull-work/density").glob("*.done")))
 
 
 def alive(slurm, name):
@@ -138,44 +167,50 @@ class Watched:
 
 
 def test_a_run_goes_on_when_a_worker_and_nodes_and_all_of_them_are_lost(
-    slurm, map_file, expected, slowly, tmp_path
+    slurm, map_file, expected, gate, tmp_path
 ):
     folder = tmp_path / "out"
     with Watched(
-        slurm, folder, "run", map_file, "-o", folder, "--cluster", "slurm", *settings(slowly)
+        slurm, folder, "run", map_file, "-o", folder, "--cluster", "slurm", *settings(gate.setting)
     ) as run:
-        wait_until(lambda: density_tasks_done(folder) >= 1, 60)
-        first = alive(slurm, "dynahull-worker")
-        assert len(first) == 2
+        gate.let_one_pass()
+        wait_until(lambda: density_tasks_done(folder) >= 1, DONE_WITHIN)
+        wait_until(lambda: len(alive(slurm, "dynahull-worker")) == 2, DONE_WITHIN)
 
-        victim = min(first)
+        victim = min(alive(slurm, "dynahull-worker"))
         slurm.call("scancel", victim)
-        wait_until(lambda: f"worker job {victim} is gone (" in run.said(), 30)
-        wait_until(lambda: len(alive(slurm, "dynahull-worker").keys() - {victim}) == 2, 30)
+        wait_until(lambda: f"worker job {victim} is gone (" in run.said(), DONE_WITHIN)
+        wait_until(lambda: len(alive(slurm, "dynahull-worker").keys() - {victim}) == 2, DONE_WITHIN)
 
         nodes = [node for (node,) in alive(slurm, "dynahull-worker").values()]
         slurm.lose(nodes[0])
         done = density_tasks_done(folder)
-        wait_until(lambda: density_tasks_done(folder) > done, 30)  # by the other one
+        gate.let_one_pass()
+        wait_until(lambda: density_tasks_done(folder) > done, DONE_WITHIN)  # by the other one
 
         for node in ("n0", "n1", "n2"):
             slurm.lose(node)
-        wait_until(lambda: "waiting: no worker is there" in run.said().partition("density:")[2], 30)
+        wait_until(
+            lambda: "waiting: no worker is there" in run.said().partition("density:")[2],
+            DONE_WITHIN,
+        )
         assert run.goes_on()
         assert 0 < density_tasks_done(folder) < 14
+        gate.open()
         for node in ("n0", "n1", "n2"):
             slurm.bring_up(node)
         assert run.code(DONE_WITHIN) == 0, run.said()
     assert results(folder) == expected
-    wait_until(lambda: alive(slurm, "dynahull-worker") == {}, 30)
+    wait_until(lambda: alive(slurm, "dynahull-worker") == {}, DONE_WITHIN)
     assert not (folder / ".dynahull-cluster/workers.json").exists()
 
 
 def test_a_submitted_run_is_followed_and_cancelled_by_its_folder_and_goes_on_when_submitted_again(
-    slurm, map_file, expected, slowly, tmp_path
+    slurm, map_file, expected, gate, tmp_path
 ):
     folder = tmp_path / "out"
-    submit = ("submit", map_file, "-o", folder, "--cluster", "slurm", *settings(slowly))
+    submit = ("submit", map_file, "-o", folder, "--cluster", "slurm", *settings(gate.setting))
+    begun = time.monotonic()
     code, said, errors = command(*submit, slurm=slurm)
     assert (code, errors) == (0, [])
     job = said.split()[3].rstrip(";")
@@ -190,7 +225,10 @@ def test_a_submitted_run_is_followed_and_cancelled_by_its_folder_and_goes_on_whe
     assert f"slurm job {job} is there for this folder" in errors[0]
     assert "cancel it first" in errors[0]
 
-    wait_until(lambda: density_tasks_done(folder) >= 1, 60)
+    gate.let_one_pass()
+    wait_until(lambda: density_tasks_done(folder) >= 1, DONE_WITHIN)
+    to_begin = time.monotonic() - begun
+    wait_until(lambda: len(alive(slurm, "dynahull-worker")) == 2, DONE_WITHIN)
     _, said, _ = command("status", folder, slurm=slurm)
     assert said.splitlines()[0].endswith(f"slurm job {job}: RUNNING")
     assert said.splitlines()[1].endswith("slurm jobs of workers: 2 RUNNING")
@@ -209,17 +247,22 @@ def test_a_submitted_run_is_followed_and_cancelled_by_its_folder_and_goes_on_whe
     assert done
     before = {path: path.stat().st_mtime_ns for path in done}
 
-    again = ("cluster.lifetime=12s", "cluster.lifetime_stagger=3s", "output.keep_work=true")
+    # Long enough for a worker to begin in, on this machine as it is now.
+    lifetime = max(12, round(2 * to_begin))
+    again = (
+        f"cluster.lifetime={lifetime}s", "cluster.lifetime_stagger=3s", "output.keep_work=true"
+    )  # fmt: skip
     code, said, errors = command(*submit, "--tls", *settings(*again), slurm=slurm)
     assert (code, errors) == (0, [])
+    log = folder / f".dynahull-cluster/logs/dynahull-{said.split()[3].rstrip(';')}.err"
+    wait_until(lambda: log.exists() and "is gone (" in log.read_text("utf-8"), 2 * DONE_WITHIN)
+    gate.open()  # one left of old age
     wait_until((folder / "run.json").exists, DONE_WITHIN)
     assert results(folder) == expected
     assert {path: path.stat().st_mtime_ns for path in done} == before  # not done a second time
-    wait_until(lambda: slurm.jobs() == [], 30)
+    wait_until(lambda: slurm.jobs() == [], DONE_WITHIN)
     _, said, _ = command("status", folder, slurm=slurm)
     assert said.splitlines()[0].endswith(": COMPLETED")
-    log = max((folder / ".dynahull-cluster/logs").glob("dynahull-[0-9]*.err")).read_text("utf-8")
-    assert "is gone (" in log  # of old age
     keys = list((folder / ".dynahull-cluster").glob(".dask-jobqueue.worker.key*"))
     assert keys == []
 
@@ -249,4 +292,4 @@ def test_jobs_that_end_before_their_worker_comes_are_not_started_for_ever(
     assert "3 jobs in a row ended before their workers were there: " in errors[0]
     assert "/no/such/python" in errors[0]
     assert "No such file or directory" in errors[0]
-    wait_until(lambda: slurm.jobs() == [], 30)
+    wait_until(lambda: slurm.jobs() == [], DONE_WITHIN)
