@@ -16,7 +16,8 @@ from pipeline.nightly.results import tasks_done
 from pipeline.outputs import folder_is_locked
 
 COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "nightly"]
-PATIENCE = 120.0
+PATIENCE = 300.0
+"""Seconds that nothing here takes but on a machine that is very busy."""
 
 
 def wait_until(condition, process=None):
@@ -174,8 +175,8 @@ def test_what_a_killed_night_started_does_not_outlive_it(place, map_bytes):
     process.communicate()
     wait_until(lambda: not is_running(child))
     run = run_of(place, path)
+    wait_until(lambda: not folder_is_locked(run))  # workers may end a moment later
     assert not (run / "run.json").exists(), "it stopped at once, and did not finish"
-    assert not folder_is_locked(run)
 
 
 def child_of(number):

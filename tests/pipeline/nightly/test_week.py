@@ -23,13 +23,20 @@ from pipeline.nightly.clock import NightEnd, SystemClock
 from pipeline.nightly.night import clean_nightly
 from pipeline.nightly.settings import load_nightly_settings
 
+class Cleaner(ChildProcess):
+    def clean(self, request, is_over):
+        ended = super().clean(request, is_over)
+        while request.map.name == sys.argv[3]:  # until it is killed
+            time.sleep(1)
+        return ended
+
 class Ahead(SystemClock):
     def now(self):
         return time.time() + float(sys.argv[2])
 
 clock = Ahead()
 settings = load_nightly_settings(Path(sys.argv[1]))
-clean_nightly(settings, ChildProcess(), clock, NightEnd(clock, None))
+clean_nightly(settings, Cleaner(), clock, NightEnd(clock, None))
 """
 
 
@@ -57,13 +64,16 @@ class Week:
         self.expected.add((str(path), sha256(content).hexdigest()))
         return path
 
-    def killed_night(self, moment):
-        """Kill a night, with everything it started, as soon as it is so far."""
+    def killed_night(self, moment, halt_after=""):
+        """Kill a night, with everything it started, as soon as it is so far.
+
+        It does not go on by itself after the map `halt_after`.
+        """
         self.place.clock.time += DAY
         ahead = self.place.clock.time - time.time()
-        command = [sys.executable, "-c", NIGHT, str(self.place.source), str(ahead)]
+        command = [sys.executable, "-c", NIGHT, str(self.place.source), str(ahead), halt_after]
         process = subprocess.Popen(command)
-        until = time.monotonic() + 120
+        until = time.monotonic() + 300
         while not moment():
             assert process.poll() is None, "it ended before it could be killed"
             assert time.monotonic() < until
@@ -125,7 +135,7 @@ def test_a_week(week, outcomes_of):
 
     # Thursday: killed when a result is published and nothing is said of it yet.
     new = arrive("incoming/new.npy", 7)
-    week.killed_night(lambda: any(place.results(new).finished()))
+    week.killed_night(lambda: any(place.results(new).finished()), halt_after=new.name)
 
     # Friday: one vanishes, one is only copied anew, a file joins the map of several.
     gone = place.incoming / "site" / "hall.npy"
