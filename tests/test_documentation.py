@@ -3,7 +3,8 @@
 Blocks of a page are run one after the other in a folder of the page's own, beside the few maps that
 the pages speak of. A block that cannot be run here (it installs, needs a cluster, or takes hours)
 has a comment before it, `<!-- not run: the reason -->`, and its commands, options and keys are
-checked.
+checked. One that takes long says what is put in place of what:
+`<!-- run in small: 1000 is 10; step=0.1 is step=1 -->`.
 """
 
 import ast
@@ -25,7 +26,12 @@ import typer
 import typer.testing
 
 from pipeline.cli import app
-from pipeline.configuration import load_configuration, load_parameters
+from pipeline.configuration import (
+    configurations_folder,
+    load_configuration,
+    load_parameters,
+)
+from pipeline.nightly.settings import load_nightly_settings
 from pipeline.simulation import SimulationParameters, write_simulation
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,8 +40,9 @@ LONGEST_SECONDS = 120
 PROGRAM = "dynahull-pipeline"
 
 _FENCE = re.compile(
-    r"(?:<!--\s*not run:\s*(?P<reason>[^>]+?)\s*-->\s*\n)?^(?P<indent> *)```(?P<kind>\w*)[^\n]*\n"
-    r"(?P<text>.*?)^(?P=indent)```\s*$",
+    r"(?:<!--\s*not run:\s*(?P<reason>[^>]+?)\s*-->\s*\n)?"
+    r"(?:<!--\s*run in small:\s*(?P<small>[^>]+?)\s*-->\s*\n)?"
+    r"^(?P<indent> *)```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^(?P=indent)```\s*$",
     re.MULTILINE | re.DOTALL,
 )
 _SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
@@ -43,13 +50,14 @@ _SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its language, its text, its line, and why it is not run, if it is not."""
+    """A fenced block: its language, its text, its line, why it is not run, and how in small."""
 
     page: Path
     kind: str
     text: str
     line: int
     reason: str | None
+    small: str | None
 
     def __str__(self):
         return f"{self.page.relative_to(ROOT)}:{self.line}"
@@ -62,12 +70,22 @@ class Block:
             lines = [line.strip()[2:] for line in lines if line.strip().startswith("$ ")]
         return [line for line in lines if line.strip() and not line.strip().startswith("#")]
 
+    @property
+    def commands_run(self):
+        """The commands, in small where they take long."""
+        lines = self.commands
+        for change in self.small.split(";") if self.small else ():
+            large, small = change.strip().split(" is ")
+            assert any(large in line for line in lines), f"{self}: no {large}"
+            lines = [line.replace(large, small) for line in lines]
+        return lines
+
 
 def blocks_of(page):
     text = page.read_text(encoding="utf-8")
     for found in _FENCE.finditer(text):
         line = text.count("\n", 0, found.start("kind")) + 1
-        yield Block(page, found["kind"], found["text"], line, found["reason"])
+        yield Block(page, found["kind"], found["text"], line, found["reason"], found["small"])
 
 
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
@@ -93,8 +111,10 @@ def example_maps(tmp_path_factory):
     las.xyz = points
     las.user_data = 1 + (np.arange(len(points)) % 9 == 0)
     (folder / "tiles").mkdir()
-    for name in ("hall.laz", "map.laz", "tiles/a.laz", "tiles/b.laz"):
+    street = "street_64beam_labelled.laz"
+    for name in ("big_map.laz", "hall.laz", "map.laz", "tiles/a.laz", "tiles/b.laz", street):
         las.write(folder / name)
+    shutil.copy(configurations_folder() / "slurm.yaml", folder / "my-cluster.yaml")
     laspy.LasData(las.header, las.points[:3000]).write(folder / "cleaned.laz")
     for name, count in (("map", 4000), ("cleaned", 3000), ("truth", 3200), ("static", 3200)):
         text = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
@@ -154,7 +174,7 @@ def test_a_page_does_what_it_says(page, example_maps, tmp_path, monkeypatch):
             ended = run_in(folder, [sys.executable, "-c", start + block.text])
             assert ended.returncode == 0, f"{block}:\n{ended.stdout}"
             continue
-        for line in block.commands:
+        for line in block.commands_run:
             monkeypatch.chdir(folder)
             for command in line.split("&&"):
                 words = shlex.split(command, comments=True)
@@ -189,7 +209,10 @@ def test_commands_and_keys_within_the_text_are_there(page):
 )
 def test_configurations_on_pages_are_valid(block, tmp_path):
     (tmp_path / "page.yaml").write_text(block.text, encoding="utf-8")
-    load_configuration(str(tmp_path / "page.yaml"))
+    if "inputs:" in block.text:  # what is cleaned every night
+        load_nightly_settings(tmp_path / "page.yaml")
+    else:
+        load_configuration(str(tmp_path / "page.yaml"))
 
 
 def check_command(line):

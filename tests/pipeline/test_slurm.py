@@ -1,14 +1,19 @@
 """Runs on a real SLURM, started on this machine: workers and nodes are lost, the bytes are not."""
 
 import os
+import shlex
 import subprocess
 import sys
 import time
 
+import laspy
 import numpy as np
 import pytest
+import yaml
 
+from pipeline.configuration import configurations_folder, load_configuration
 from tests.pipeline.slurm_on_loopback import SlurmOnLoopback, wait_until, why_not
+from tests.test_documentation import BLOCKS
 
 REASON = why_not()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=f"no SLURM: {REASON}")
@@ -73,6 +78,10 @@ class Gate:
         """Hold nobody any more."""
         (self._folder / "open").touch()
 
+    def close(self):
+        """Hold everybody again."""
+        (self._folder / "open").unlink()
+
 
 @pytest.fixture
 def gate(tmp_path):
@@ -116,12 +125,12 @@ def arguments(*words):
     return [sys.executable, "-m", "pipeline", *map(str, words)]
 
 
-def command(*words, slurm=None):
+def command(*words, slurm=None, folder=None):
     """Run the command line: exit code, standard output, error lines."""
     environment = {**os.environ, **(slurm.environment if slurm else {})}
     done = subprocess.run(
         arguments(*words), env=environment, capture_output=True, text=True, timeout=DONE_WITHIN,
-        check=False,
+        check=False, cwd=folder,
     )  # fmt: skip
     return done.returncode, done.stdout, [
         line for line in done.stderr.splitlines() if line.startswith("error: ")
@@ -293,3 +302,49 @@ def test_jobs_that_end_before_their_worker_comes_are_not_started_for_ever(
     assert "/no/such/python" in errors[0]
     assert "No such file or directory" in errors[0]
     wait_until(lambda: slurm.jobs() == [], DONE_WITHIN)
+
+
+@pytest.fixture
+def as_on_the_page(map_file, gate, tmp_path):
+    """A folder with the map and the configuration that docs/cluster.md speaks of."""
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales = np.full(3, 0.001)
+    las = laspy.LasData(header)
+    las.xyz = np.load(map_file)
+    las.write(tmp_path / "big_map.laz")
+    ready = yaml.safe_load((configurations_folder() / "slurm.yaml").read_text(encoding="utf-8"))
+    small = load_configuration(None, [*SETTINGS, gate.setting]).model_dump(
+        mode="json", exclude_unset=True
+    )
+    cluster = ready["cluster"] | small["cluster"]
+    mine = {**small, "execution": ready["execution"], "cluster": cluster}
+    (tmp_path / "my-cluster.yaml").write_text(yaml.safe_dump(mine), encoding="utf-8")
+    return tmp_path
+
+
+def test_the_commands_of_the_page_do_what_it_says(slurm, gate, as_on_the_page):
+    lines = [
+        line
+        for block in BLOCKS
+        if block.page.name == "cluster.md" and "test_slurm.py" in (block.reason or "")
+        for line in block.commands
+    ]
+    verbs = [line.split()[1] for line in lines]
+    assert verbs == ["run", "submit", "status", "cancel", "run"]
+    said = {}
+    gate.open()
+    for line, verb in zip(lines, verbs, strict=True):
+        code, said[verb], errors = command(
+            *shlex.split(line, comments=True)[1:], slurm=slurm, folder=as_on_the_page
+        )
+        assert (code, errors) == (0, []), line
+        if verb == "run":  # what is submitted shall not be over before it is cancelled
+            gate.close()
+            said.clear()
+        if verb == "cancel":
+            assert said["submit"].startswith("submitted: slurm job ")
+            assert "slurm job " in said["status"]
+            assert said["cancel"].startswith("cancelled: job ")
+            wait_until(lambda: slurm.jobs() == [], DONE_WITHIN)
+            gate.open()
+    assert (as_on_the_page / "big_map_dynahull" / "run.json").is_file()
