@@ -348,3 +348,18 @@ def test_the_commands_of_the_page_do_what_it_says(slurm, gate, as_on_the_page):
             wait_until(lambda: slurm.jobs() == [], DONE_WITHIN)
             gate.open()
     assert (as_on_the_page / "big_map_dynahull" / "run.json").is_file()
+
+
+def test_a_night_is_spent_on_the_cluster(slurm, map_file, expected, tmp_path):
+    chosen = [*SETTINGS, "execution.cluster=slurm"]
+    file = {
+        "inputs": [{"maps": str(map_file), "settings": chosen}],
+        "output": "cleaned", "settle": "1 s", "wait": "1 min",
+    }  # fmt: skip
+    (tmp_path / "nightly.yaml").write_text(yaml.safe_dump(file), encoding="utf-8")
+    code, _, errors = command("nightly", tmp_path / "nightly.yaml", slurm=slurm)
+    assert (code, errors) == (0, [])
+    (latest,) = (tmp_path / "cleaned").glob("map-*/latest")
+    assert results(latest) == expected
+    assert list((latest / ".dynahull-cluster/logs").iterdir()), "there were jobs"
+    wait_until(lambda: slurm.jobs() == [], DONE_WITHIN)
