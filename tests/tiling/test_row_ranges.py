@@ -285,3 +285,17 @@ def test_a_collection_is_cut_where_its_files_can_be_read_from(readers, most):
         assert len(rows) <= max(most, COUNT)
         for file in (0, 2):
             assert not file * COUNT < rows.start < (file + 1) * COUNT
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_file_after_another_is_read_as_if_it_were_alone(name, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(MAPS[name][0])
+    np.save(tmp_path / "before.npy", XYZ)
+    collection = MapCollection([tmp_path / "before.npy", path])
+    expected = content(open_map(path), 100)
+    found = [batch for file, batch in collection.batches(100) if file == 1]
+    assert found[0].first_row == COUNT
+    assert np.concatenate([batch.xyz for batch in found]).tobytes() == expected[1]
+    part = [batch for _, batch in collection.batches(100, range(COUNT + 33, 2 * COUNT - 7))]
+    assert np.concatenate([batch.xyz for batch in part]).tobytes() == expected[1][24 * 33 : -24 * 7]

@@ -87,7 +87,7 @@ class MapDescription:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class PointBatch:
     """Some consecutive points of a map.
 
@@ -245,6 +245,15 @@ class MapReader(ABC):
     @abstractmethod
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield the points of a range of rows that the file has."""
+
+    @property
+    def record_dtype(self) -> np.dtype[Any] | None:
+        """The type of a row of `PointBatch.records`, where they are an array; None elsewhere."""
+        return None
+
+    def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
+        """Make the batch again that had these records, an array of `record_dtype`."""
+        raise NotImplementedError(f"{self.description.format}: records of no fixed size")
 
     @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:

@@ -4,6 +4,7 @@ import glob
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 
@@ -162,8 +163,8 @@ class MapCollection:
             stop = min(rows.stop - first_row, reader.description.point_count)
             if start < stop:
                 for batch in reader.batches(max_points, range(start, stop)):
-                    batch.first_row += first_row
-                    yield file, batch
+                    # A copy: the reader goes on from the row numbers of its own.
+                    yield file, replace(batch, first_row=batch.first_row + first_row)
 
     def row_ranges(self, max_points: int) -> list[range]:
         """Cut the map into row ranges that several workers can read side by side.

@@ -34,7 +34,7 @@ _LONGEST_ROW_GROUP = 1 << 20
 """Rows of a row group that the writer gathers in memory, at most."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class TableBatch(PointBatch):
     """Points whose records are a `pyarrow.Table`."""
 
