@@ -1,5 +1,6 @@
 """A map of several tiles: cleaned tile by tile by workers."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from pipeline.tiles.cleaning import clean_tiles
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
+from pipeline.tiles.writing import BATCH
 from pipeline.workers import workers_for
 from pipeline.write_results import write_maps
+from tiling.formats import PointBatch
 from tiling.formats.collection import MapCollection
 
 
@@ -42,5 +45,24 @@ def clean_in_tiles(
         if output.needs_scores:
             cluster = open_rows(job.rows_path("cluster"), np.int32)
             density = open_rows(job.rows_path("density"), np.float64)
-        write_maps(collection, output, labels, density, names, staging, observer, job, executor)
+        write_maps(
+            collection,
+            output,
+            labels,
+            density,
+            names,
+            staging,
+            observer,
+            job,
+            executor,
+            read=_decoded_batches(job),
+        )
     return CleanedMap(labels, cluster, density, result.counts, result.clusters, sample, tiles)
+
+
+def _decoded_batches(job: Job) -> Callable[[int], Iterable[PointBatch]] | None:
+    """Return what gives the points of a file of the map, where their records were kept."""
+    decoded = job.decoded
+    if decoded is None or not decoded.has_records:
+        return None
+    return lambda file: decoded.batches_of(file, BATCH)

@@ -12,6 +12,7 @@ from pipeline.errors import PlanError
 from pipeline.quantities import in_time, in_units
 from pipeline.resources import BASE_BYTES, check_space, output_size, worker_memory_limit
 from tiling.formats.collection import MapCollection
+from tiling.kept_points import bytes_kept
 from tiling.layout import Layout, quadtree
 from tiling.occupancy import Occupancy, count_within
 from tiling.survey import Survey
@@ -148,7 +149,9 @@ def make_plan(
         held=held,
         workers=workers,
         worker_memory=BASE_BYTES + _BYTES_A_POINT * int(gathered.max(initial=0)),
-        disk=all_held * _BYTES_ON_DISK + survey.point_count * _SCORES_ON_DISK,
+        disk=all_held * _BYTES_ON_DISK
+        + survey.point_count * _SCORES_ON_DISK
+        + bytes_kept(collection),
         output_size=output_size(collection, configuration),
         seconds=seconds / 1e6 / workers,
     )

@@ -115,8 +115,8 @@ def cut_into_chunks(job: Job, executor: Executor, observer: StageObserver) -> No
     """Cut a map whose tiles are planned into their chunks."""
     rows = [len(part) for part in job.cut_ranges]
     exhaust(do_stage(job, executor, observer, "cut", rows))
-    if job.coordinates is not None:
-        job.coordinates.path.unlink(missing_ok=True)
+    if job.decoded is not None and not job.decoded.has_records:
+        job.decoded.path.unlink(missing_ok=True)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)

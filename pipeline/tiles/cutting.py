@@ -19,18 +19,17 @@ def make_copies(job: Job) -> None:
         return
     if job.needs_classes:
         make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
-    if job.coordinates is not None:
-        job.coordinates.make()
+    if job.decoded is not None:
+        job.decoded.make()
 
 
 def survey_rows(job: Job, number: int) -> TaskReport:
     """Survey one range of rows; keep of them what the map need not be read for again."""
     rows = job.row_ranges[number]
-    batches: Iterator[PointBatch] = (batch for _, batch in job.collection.batches(rows=rows))
+    read = job.collection.batches(rows=rows)
+    batches = (batch for _, batch in read) if job.decoded is None else job.decoded.keep(read)
     if job.needs_classes:
         batches = _classes_kept(job, batches)
-    if job.coordinates is not None:
-        batches = job.coordinates.keep(batches)
     job.work.save("survey", number, **survey_batches(batches).to_arrays())
     return TaskReport(len(rows))
 
@@ -45,7 +44,7 @@ def _classes_kept(job: Job, batches: Iterator[PointBatch]) -> Iterator[PointBatc
 def cut_rows(job: Job, number: int) -> TaskReport:
     """Sort one range of rows by tile into a piece."""
     rows = job.cut_ranges[number]
-    written = write_pieces(job.store, job.coordinates or job.collection, rows, number)
+    written = write_pieces(job.store, job.decoded or job.collection, rows, number)
     return TaskReport(len(rows), (written,))
 
 

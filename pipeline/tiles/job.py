@@ -16,13 +16,13 @@ from pipeline.map_state import MapState
 from pipeline.plan import decision_radius
 from pipeline.tiles.work import WorkFolder
 from tiling.chunk_store import ChunkStore
-from tiling.coordinates import KeptCoordinates
 from tiling.formats.collection import MapCollection
+from tiling.kept_points import KeptPoints
 
 JOB_FILE = "job.json"
 CLUSTERS_FILE = "clusters.npy"
 CHUNKS_FOLDER = "tiles"
-COORDINATES_FILE = "map.coordinates"
+DECODED_FILE = "map.decoded"
 
 ROWS_AT_A_TIME = 1_000_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -83,16 +83,16 @@ class Job:
         return self.collection.row_ranges(ROWS_AT_A_TIME)
 
     @cached_property
-    def coordinates(self) -> KeptCoordinates | None:
-        """The map's coordinates, kept until it is cut, where it takes long to read them."""
+    def decoded(self) -> KeptPoints | None:
+        """The map's points as the survey decoded them, where it takes long to read them."""
         if all(reader.writes_parts for reader in self.collection.readers):
-            return None
-        return KeptCoordinates(self.root / COORDINATES_FILE, self.collection.point_count)
+            return None  # its bytes are its records
+        return KeptPoints(self.root / DECODED_FILE, self.collection)
 
     @cached_property
     def cut_ranges(self) -> list[range]:
         """The ranges of rows that the map is cut in."""
-        if self.coordinates is None:
+        if self.decoded is None:
             return self.row_ranges
         count = self.collection.point_count
         starts = range(0, count, ROWS_AT_A_TIME)

@@ -3,13 +3,12 @@
 import laspy
 import numpy as np
 import pyarrow.parquet
-import scipy.spatial
 from distributed import nanny
 
 from dynahull.loading import load_compiled
 from pipeline.tiles import stages
 
-__all__ = ["laspy", "nanny", "pyarrow", "scipy", "stages"]
+__all__ = ["laspy", "nanny", "pyarrow", "stages"]
 
 load_compiled()
 

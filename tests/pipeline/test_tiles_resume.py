@@ -173,12 +173,12 @@ def test_a_map_that_must_be_decoded_is_read_once_before_it_is_cut(
     work = tmp_path / "out" / WORK
     # It cannot be read from the middle, and yet its coordinates are cut side by side.
     assert sorted(done_tasks) == [("cut", 0), ("cut", 2), ("survey", 0)]
-    assert (work / "map.coordinates").stat().st_size == 800 * 24
+    assert (work / "map.decoded").stat().st_size == 800 * 24
     done_tasks.clear()
     fault.error = None
     cleaned(packed, tmp_path / "out", "output.keep_work=true")
     assert {number for stage, number in done_tasks if stage in ("survey", "cut")} == {1}
-    assert not (work / "map.coordinates").exists()
+    assert not (work / "map.decoded").exists()
     assert (tmp_path / "out/labels.parquet").read_bytes() == expected["labels.parquet"]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from laspy.point.format import PointFormat
@@ -90,9 +90,18 @@ class LasReader(MapReader):
                 count = min(most, rows.stop - first)
                 records = np.empty((count, header.record_length), dtype=np.uint8)
                 source.read_into(records)
-                yield PointBatch(
-                    first, coordinates(records, header), records, _classes(records, header)
-                )
+                yield self.batch_of(first, records)
+
+    @property
+    def record_dtype(self) -> np.dtype[Any]:
+        """Bytes; see `MapReader.record_dtype`."""
+        return np.dtype((np.uint8, self._header.record_length))
+
+    def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
+        """Make a batch of raw records; see `MapReader.batch_of`."""
+        header = self._header
+        xyz, classes = coordinates(records, header), _classes(records, header)
+        return PointBatch(first_row, xyz, records, classes)
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map with this one's header, VLRs and EVLRs."""

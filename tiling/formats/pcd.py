@@ -197,7 +197,7 @@ class PcdReader(MapReader):
                         f"byte {stream.tell()}",
                     )
                 records = np.frombuffer(data, dtype=f"V{header.record_size}")
-                yield self._batch(first_row, records)
+                yield self.batch_of(first_row, records)
 
     def _compressed_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         count = self._header.point_count
@@ -210,10 +210,17 @@ class PcdReader(MapReader):
                 spool.append(block)
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
-                yield self._batch(first_row, records)
+                yield self.batch_of(first_row, records)
 
-    def _batch(self, first_row: int, records: NDArray[np.void]) -> PointBatch:
-        """Make a batch of binary records."""
+    @property
+    def record_dtype(self) -> np.dtype[Any] | None:
+        """Bytes, but of an ASCII file; see `MapReader.record_dtype`."""
+        if self._header.encoding == "ascii":
+            return None
+        return np.dtype(f"V{sum(field.width for field in self._stored)}")
+
+    def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
+        """Make a batch of binary records; see `MapReader.batch_of`."""
         xyz = np.empty((len(records), 3), dtype=np.float64)
         for axis, field in enumerate(self._header.coordinates):
             start = sum(other.width for other in self._stored if other.offset < field.offset)
