@@ -164,10 +164,10 @@ def neighbour_reach(occupancy: Occupancy, k: int) -> float:
     """
     if not len(occupancy.counts):
         return _SMALLEST_REACH
-    order = np.argsort(occupancy.counts)
-    below = np.cumsum(occupancy.counts[order])
+    counts = np.sort(occupancy.counts)
+    below = np.cumsum(counts)
     at = int(np.searchsorted(below, _SPARSE_SHARE * below[-1]))
-    a_square_metre = occupancy.counts[order[at]] / occupancy.cell**2
+    a_square_metre = counts[at] / occupancy.cell**2
     reach = float(np.sqrt(k / (np.pi * a_square_metre)))
     return float(np.clip(np.ceil(reach * 20) / 20, _SMALLEST_REACH, _WIDEST_REACH))
 

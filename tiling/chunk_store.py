@@ -17,6 +17,7 @@ from tiling.formats.grid import Grid
 from tiling.layout import Layout
 
 ChunkFormat = Literal["parquet", "las", "laz"]
+ChunkCompression = Literal["zstd", "lz4"]
 
 _STORE_FILE = "store.json"
 
@@ -75,6 +76,8 @@ class ChunkStore:
         Of the chunks.
     grid : Grid or None
         Of the coordinates; needed for LAS, see `tiling.grid.grid_of`.
+    compression : "zstd" or "lz4"
+        Of chunks in Parquet: half the size, or half the time.
     """
 
     folder: Path
@@ -83,6 +86,7 @@ class ChunkStore:
     point_count: int
     format: ChunkFormat = "parquet"
     grid: Grid | None = None
+    compression: ChunkCompression = "zstd"
 
     def __post_init__(self) -> None:
         if self.format != "parquet" and self.grid is None:
@@ -117,6 +121,7 @@ class ChunkStore:
             stored["point_count"],
             stored["format"],
             None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
+            stored["compression"],
         )
 
     @cached_property
@@ -127,6 +132,7 @@ class ChunkStore:
                 "point_count": self.point_count,
                 "format": self.format,
                 "grid": None if self.grid is None else [self.grid.scales, self.grid.offsets],
+                "compression": self.compression,
                 "layout": self.layout.to_json(),
             }
         )

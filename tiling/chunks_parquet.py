@@ -16,15 +16,15 @@ def write(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
     columns = {name: chunk.xyz[:, axis] for axis, name in enumerate(_COLUMNS)}
     table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
     table = table.replace_schema_metadata({"tile": store.describe(tile)})
-    # Coordinates hardly repeat, so dictionaries only cost time; zstd makes a quarter of the size.
+    # Coordinates hardly repeat, so dictionaries only cost time.
     pq.write_table(
         table,
         path,
         row_group_size=max(len(chunk), 1),
         use_dictionary=False,
         write_statistics=False,
-        compression="zstd",
-        compression_level=1,
+        compression=store.compression,
+        compression_level=1 if store.compression == "zstd" else None,
     )
 
 

@@ -189,22 +189,20 @@ def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout
 
     def too_large(places: NDArray[np.intp], starts: NDArray[np.intp], bit: int) -> _Flags:
         """Tell which nodes, runs of some of the columns, must be cut."""
-        large = np.add.reduceat(counts[places], starts) > max_points
+        totals, begins, ends = _gathered(columns, counts, places, starts)
+        large = totals > max_points
         if 2 ** ((bit + 1) // 2) * occupancy.cell > _HALOS_WIDE * halo:
-            low = np.minimum.reduceat(columns[places], starts) * occupancy.cell
-            high = (np.maximum.reduceat(columns[places], starts) + 1) * occupancy.cell
+            small = np.flatnonzero(~large)
+            low, high = (
+                np.asarray(edge[small] * occupancy.cell, np.float64) for edge in (begins, ends)
+            )
             held = count_within(occupancy, low - halo, high + halo)
-            large |= held > MOST_HELD * max_points
+            large[small] = held > MOST_HELD * max_points
         return large & (bit > 0)
 
     starts = _leaf_starts(parting, too_large)
-    return Layout(
-        occupancy.cell,
-        origin,
-        np.minimum.reduceat(columns, starts),
-        np.maximum.reduceat(columns, starts) + 1,
-        np.add.reduceat(counts, starts),
-    )
+    totals, begins, ends = _gathered(columns, counts, np.arange(len(columns)), starts)
+    return Layout(occupancy.cell, origin, begins, ends, totals)
 
 
 def _leaf_starts(
@@ -228,6 +226,29 @@ def _leaf_starts(
         if not len(places):
             break
     return np.sort(np.concatenate(leaves))
+
+
+@compiled
+def _gathered(
+    columns: Columns,
+    counts: NDArray[np.int64],
+    places: NDArray[np.intp],
+    starts: NDArray[np.intp],
+) -> tuple[NDArray[np.int64], Columns, Columns]:
+    """Return the points of each run of places, and the smallest box (begin, end) of its columns."""
+    totals = np.zeros(len(starts), np.int64)
+    begins, ends = np.empty((len(starts), 2), np.int64), np.empty((len(starts), 2), np.int64)
+    for run in range(len(starts)):
+        end = starts[run + 1] if run + 1 < len(starts) else len(places)
+        begins[run] = columns[places[starts[run]]]
+        ends[run] = begins[run] + 1
+        for at in range(starts[run], end):
+            place = places[at]
+            totals[run] += counts[place]
+            for axis in range(2):
+                begins[run, axis] = min(begins[run, axis], columns[place, axis])
+                ends[run, axis] = max(ends[run, axis], columns[place, axis] + 1)
+    return totals, begins, ends
 
 
 @compiled

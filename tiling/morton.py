@@ -4,6 +4,8 @@ The order is that of the bits of x and y taken in turn, from the highest, those 
 node of a quadtree over the lattice is one run of it.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,10 +56,7 @@ def parting_bits(columns: NDArray[np.int64]) -> NDArray[np.int64]:
         first column.
     """
     parting = np.full(len(columns), -1)
-    differences = (columns[1:] ^ columns[:-1]).astype(np.float64)
-    # The exponent of an integer is one more than its highest bit; that of zero is zero.
-    exponents = np.frexp(differences)[1].astype(np.int64)
-    parting[1:] = (2 * exponents - [1, 2]).max(axis=1)
+    _part(columns, parting)
     return parting
 
 
@@ -71,6 +70,16 @@ def _spread(bits: NDArray[np.int64]) -> NDArray[np.int64]:
     for shift, mask in _SPREADS:
         bits = (bits | bits << shift) & mask
     return bits
+
+
+@compiled
+def _part(columns: NDArray[np.int64], parting: NDArray[np.int64]) -> None:
+    """Fill in `parting_bits` of all columns but the first."""
+    for at in range(1, len(columns)):
+        for axis in range(2):
+            # The exponent of an integer is one more than its highest bit; that of zero is zero.
+            exponent = math.frexp(float(columns[at, axis] ^ columns[at - 1, axis]))[1]
+            parting[at] = max(parting[at], 2 * exponent - 1 - axis)
 
 
 @compiled

@@ -20,6 +20,7 @@ MOST_COLUMNS = 2_000_000
 FARTHEST = 2.0**38
 """Metres from the origin; points beyond are counted in the column at the edge."""
 
+_LARGEST_KEY = 2**62
 _FIRST_CAPACITY = 1 << 12
 _FIRST_MULTIPLIER = np.int64(-7046029254386353131)  # 2^64 / golden ratio, as int64
 _SECOND_MULTIPLIER = np.int64(-4417276706812531889)  # a prime of xxHash, as int64
@@ -132,7 +133,7 @@ class ColumnCounter:
     def occupancy(self) -> Occupancy:
         """Return the counts so far."""
         columns, counts = self._entries()
-        order = np.lexsort((columns[:, 1], columns[:, 0]))
+        order = _lexicographic_order(columns)
         return Occupancy(self.cell, columns[order], counts[order])
 
     @property
@@ -176,6 +177,18 @@ class ColumnCounter:
     def _entries(self) -> tuple[Columns, NDArray[np.int64]]:
         used = self._counts > 0
         return self._columns[used], self._counts[used]
+
+
+def _lexicographic_order(columns: Columns) -> NDArray[np.intp]:
+    """Return the order of distinct columns by x, and by y where x is the same."""
+    if not len(columns):
+        return np.zeros(0, np.intp)
+    low, high = columns.min(axis=0), columns.max(axis=0)
+    lines, in_line = (high - low + 1).tolist()
+    if lines * in_line > _LARGEST_KEY:
+        return np.lexsort((columns[:, 1], columns[:, 0]))
+    # To sort one number for each takes half the time.
+    return np.argsort((columns[:, 0] - low[0]) * in_line + (columns[:, 1] - low[1]))
 
 
 @compiled

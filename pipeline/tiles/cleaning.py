@@ -30,7 +30,7 @@ from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.work import TaskReport, remove_work
 from tiling.atomic import atomic_file
-from tiling.chunk_store import ChunkStore
+from tiling.chunk_store import ChunkCompression, ChunkStore
 from tiling.errors import GridError
 from tiling.grid import grid_of
 from tiling.survey import Survey, merge
@@ -66,7 +66,7 @@ def clean_tiles(
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
     """
-    plan_tiles(job, executor, observer, check)
+    plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     # Fitting takes a second to import, and this process has nothing to do while tiles are cut.
     Thread(target=import_module, args=("sklearn.cluster",), daemon=True).start()
     cut_into_chunks(job, executor, observer)
@@ -84,7 +84,11 @@ def clean_tiles(
 
 
 def plan_tiles(
-    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
+    job: Job,
+    executor: Executor,
+    observer: StageObserver,
+    check: Callable[[Plan], None],
+    compression: ChunkCompression,
 ) -> None:
     """Survey the map, and plan its tiles."""
     make_copies(job)
@@ -108,7 +112,7 @@ def plan_tiles(
             f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
             f"{plan.layout.cell:g} m wide, is not divided"
         )
-    _store(job, plan, survey).save()
+    _store(job, plan, survey, compression).save()
 
 
 def cut_into_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
@@ -149,7 +153,7 @@ def _surveys(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Iterator[Su
         yield Survey.from_arrays(*job.work.load("survey", number, *names))
 
 
-def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:
+def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) -> ChunkStore:
     chunks = job.configuration.tiling.format
     return ChunkStore(
         job.root / CHUNKS_FOLDER,
@@ -158,6 +162,7 @@ def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:
         survey.point_count,
         chunks,
         None if chunks == "parquet" else grid_of(job.collection, survey),
+        compression,
     )
 
 

@@ -44,9 +44,9 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         order = np.argsort(decided.rows)
         decided = decided.select(order)
         labels = np.concatenate([labels for _, labels in parts])[order]
-    free = decided.select(labels == Label.STATIC)
+    free = labels == Label.STATIC
     core_rows = decided.rows[decided.core]
-    own, around = free.select(free.core), free.select(~free.core)
+    own, around = decided.select(free & decided.core), decided.select(free & ~decided.core)
     core_count = len(core_rows)
     parameters = job.configuration.clustering
     total = core_count if parameters.scope == "tile" else job.finite_count

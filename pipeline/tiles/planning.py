@@ -81,7 +81,11 @@ def tile_map(
             job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(job) as executor:
                 plan_tiles(
-                    job, executor, observer, lambda plan: check_plan(plan, configuration, output)
+                    job,
+                    executor,
+                    observer,
+                    lambda plan: check_plan(plan, configuration, output),
+                    "zstd",
                 )
                 cut_into_chunks(job, executor, observer)
             observer.finish()

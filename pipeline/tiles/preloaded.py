@@ -1,16 +1,24 @@
 """What workers have at hand as they start; imported by the process that they are forked from."""
 
-import laspy
+import gc
+from importlib import import_module
+
 import numpy as np
-import pyarrow.parquet
-from distributed import nanny
 
-from dynahull.loading import load_compiled
-from pipeline.tiles import stages
+_NEEDED = ("distributed.nanny", "laspy", "pyarrow.parquet", "pipeline.tiles.stages")
 
-__all__ = ["laspy", "nanny", "pyarrow", "stages"]
 
-load_compiled()
+def _load() -> None:
+    """Import what tasks use, and load the compiled code that is kept."""
+    for name in _NEEDED:
+        import_module(name)
+    import_module("dynahull.loading").load_compiled()
+    # The first conversion imports pandas, where that is installed.
+    import_module("pyarrow").array(np.empty(0))
 
-# The first conversion imports pandas, where that is installed.
-pyarrow.array(np.empty(0))
+
+# Nothing of this goes away again: to look for garbage takes a sixth of the time.
+gc.disable()
+_load()
+gc.freeze()
+gc.enable()

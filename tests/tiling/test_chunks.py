@@ -4,6 +4,7 @@ import json
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -273,6 +274,18 @@ def test_parquet_chunks_are_tables_for_other_tools(filled):
         "high": place.high.tolist(),
         "halo": 0.5,
     }
+
+
+def test_compression_changes_the_bytes_of_chunks_alone(filled, tmp_path):
+    _, collection, store = filled
+    other = replace(store, folder=tmp_path / "fast", compression="lz4")
+    other.save()
+    assert ChunkStore.open(other.folder).compression == "lz4"
+    fill(other, collection)
+    for each, codec in ((store, "ZSTD"), (other, "LZ4")):
+        columns = pq.read_metadata(each.chunk_path(1)).row_group(0)
+        assert {columns.column(at).compression for at in range(5)} == {codec}
+    assert pq.read_table(other.chunk_path(1)).equals(pq.read_table(store.chunk_path(1)))
 
 
 @pytest.mark.parametrize("kind", ["las", "laz"])
