@@ -5,7 +5,7 @@ from importlib import import_module
 
 import numpy as np
 
-_NEEDED = ("distributed.nanny", "laspy", "pyarrow.parquet", "pipeline.tiles.stages")
+_NEEDED = ("distributed.nanny", "lazrs", "pyarrow.parquet", "pipeline.tiles.stages")
 
 
 def _load() -> None:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from tiling.errors import MapFormatError, PointCountError
 from tiling.formats import open_map
 from tiling.formats.las import LasReader
+from tiling.formats.las_fields import standard_fields
 from tiling.formats.las_header import read_header
 from tiling.formats.laz import laszip_is_installed
 
@@ -567,3 +568,12 @@ def test_spoilt_real_files_are_read_or_refused(shared_data, tmp_path):
     sources = [p for p in folder.iterdir() if p.suffix in (".las", ".laz")]
     sources = [p for p in sources if p.stat().st_size < 40_000 and p.name not in REFUSED]
     check_mutations(sources, tmp_path, range(300))
+
+
+@pytest.mark.parametrize("point_format", range(11))
+def test_fields_are_named_as_laspy_names_them(point_format):
+    expected = [
+        (dimension.name, "uint8" if dimension.dtype is None else dimension.dtype.name)
+        for dimension in laspy.PointFormat(point_format).standard_dimensions
+    ]
+    assert [(field.name, field.dtype) for field in standard_fields(point_format)] == expected

@@ -7,14 +7,16 @@ point had stays as it was stored; new values stand behind it, of the types that 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.base import Field, MapReader, MapWriter, PointBatch
 from tiling.formats.parts import PartWriter
-from tiling.formats.text_rows import TextRows
+
+if TYPE_CHECKING:
+    from tiling.formats.text_rows import TextRows  # compiled: takes long to import
 
 
 class ExtendedFormat(ABC):
@@ -108,7 +110,7 @@ class ExtendedText(ExtendedFormat):
         batch: PointBatch,
         values: Sequence[NDArray[Any]],
         classification: NDArray[np.uint8] | None = None,
-    ) -> TextRows:
+    ) -> "TextRows":
         """Return the rows with the values; see `ExtendedFormat.extend`."""
         del classification
         columns = [

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from laspy.point.format import PointFormat
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
@@ -23,6 +22,7 @@ from tiling.formats.grid import Grid, integers_in_records
 from tiling.formats.las_crs import crs_name
 from tiling.formats.las_extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
 from tiling.formats.las_extra_bytes import extra_fields
+from tiling.formats.las_fields import standard_fields
 from tiling.formats.las_header import (
     AT_WAVEFORMS,
     WAVEFORMS_EXTERNAL,
@@ -182,7 +182,7 @@ def _describe(header: LasHeader) -> MapDescription:
         format=kind,
         suffix=".laz" if header.compressed else ".las",
         point_count=header.point_count,
-        fields=(*_standard_fields(header), *extra_fields(header)),
+        fields=(*standard_fields(header.point_format), *extra_fields(header)),
         crs=crs_name(header.vlrs + header.evlrs),
         has_classification=True,
         largest_class=LAST_SHORT_CLASS if header.point_format < 6 else 255,
@@ -214,10 +214,3 @@ def _notes(header: LasHeader) -> Iterator[str]:
                     f"The waveform packets said to start at byte {start} are not there, "
                     "and cannot be copied."
                 )
-
-
-def _standard_fields(header: LasHeader) -> Iterator[Field]:
-    """Name the fields of the point format as laspy does; those of a few bits are uint8."""
-    for dimension in PointFormat(header.point_format).standard_dimensions:
-        dtype = dimension.dtype
-        yield Field(dimension.name, "uint8" if dtype is None else dtype.name)

@@ -19,9 +19,7 @@ from tiling.formats.las_header import LasHeader
 from tiling.formats.laz_chunks import comes_from_lazrs, split_into_stretches
 from tiling.formats.laz_header import Compression
 
-# Neither has types that a checker can use.
-laspy: Any = import_module("laspy")
-lazrs: Any = import_module("lazrs")
+lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
 _CHUNK_TABLE_WITHOUT_ENTRIES = bytes(8)
 _PASSED_AT_A_TIME = 50_000
@@ -245,6 +243,7 @@ class LaszipPoints:
     ) -> None:
         for _ in split_into_stretches(file, header, compression, range(header.point_count)):
             pass
+        laspy: Any = import_module("laspy")
         self._header = header
         file.seek(0)
         try:
