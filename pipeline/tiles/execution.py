@@ -19,6 +19,10 @@ from pipeline.tiles.work import TaskReport
 IN_FLIGHT_PER_WORKER = 2
 """Tasks handed to the scheduler for each worker: one that runs, and one that waits."""
 
+_LONG = 1.0
+"""Seconds from which on a task is handed out only when a worker is free: one that waits at a worker
+is not done by another that has nothing left to do."""
+
 _COUNT_EVERY = 5.0
 """Seconds between two counts of the workers: asking the scheduler costs more than a task."""
 
@@ -141,27 +145,31 @@ class OnDask:
         waiting = iter(numbers)
         flying: dict[Any, int] = {}
         completed = as_completed(loop=self._client.loop)
-        window, counted = 0, -_COUNT_EVERY
+        workers, counted = 0, -_COUNT_EVERY
+        seconds = _LONG  # of the latest task; what the first will take is not known
+        ready: list[tuple[int, Outcome]] = []
         while True:
             if monotonic() - counted >= _COUNT_EVERY:
-                window, counted = IN_FLIGHT_PER_WORKER * self.workers, monotonic()
+                workers, counted = self.workers, monotonic()
                 key_split.cache_clear()  # it holds the names of the last 100,000 tasks
+            window = workers if seconds >= _LONG else IN_FLIGHT_PER_WORKER * workers
             while len(flying) < window and (number := next(waiting, None)) is not None:
                 future = self._client.submit(
                     _guarded, task, folder, number, pure=False, retries=RETRIES
                 )
                 flying[future] = number
                 completed.add(future)
+            yield from ready  # now that its worker has another
             if not flying:
                 return
             future = next(completed)
             number = flying.pop(future)
-            if future.status == "finished":
-                yield number, future.result()
-            else:
-                yield number, _failure(future.exception())
+            finished = future.status == "finished"
+            outcome = future.result() if finished else _failure(future.exception())
             future.release()
             del future
+            seconds = outcome.seconds if isinstance(outcome, TaskReport) else seconds
+            ready = [(number, outcome)]
 
 
 def _guarded(task: Task, folder: str, number: int) -> Outcome:

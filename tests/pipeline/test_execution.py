@@ -173,6 +173,11 @@ def test_workers_that_cannot_start_are_told(client):
         dict(Starting(2, started).run(answer, "", [0]))
 
 
+def sleeping(folder, number):
+    time.sleep(0.25)
+    return TaskReport(number, seconds=0.25)
+
+
 class TestSlidingWindow:
     def test_numbers_are_taken_as_they_are_needed(self, client):
         taken = 0
@@ -206,6 +211,14 @@ class TestSlidingWindow:
         while client.futures or client.cluster.scheduler.tasks:
             assert time.monotonic() < deadline
             time.sleep(0.01)
+
+    def test_tasks_that_take_long_wait_for_a_free_worker(self, client, monkeypatch):
+        monkeypatch.setattr(execution, "_LONG", 0.2)
+        held = []
+        for _ in OnDask(client).run(sleeping, "abc", range(6)):
+            held.append(len(client.cluster.scheduler.tasks))
+        assert max(held) <= 3  # two that run, and one that was just done
+        assert held[0] >= 2
 
     def test_both_workers_work_at_a_time(self, client, monkeypatch):
         barrier = threading.Barrier(2, timeout=20)
