@@ -6,7 +6,7 @@ import pytest
 
 from tiling.errors import ChunkError
 from tiling.formats.collection import MapCollection
-from tiling.kept_points import KeptPoints
+from tiling.kept_points import KeptPoints, bytes_kept
 
 XYZ = np.random.default_rng(2).normal(size=(11, 3)).round(3)
 
@@ -125,3 +125,11 @@ def test_a_file_that_is_lost_or_cut_short_is_named(tmp_path, files):
     ):
         with pytest.raises(ChunkError, match=r"map\.decoded: .* found no such file"):
             list(use())
+
+
+def test_only_records_are_kept_to_the_end(tmp_path):
+    collection = several_files(tmp_path)
+    assert bytes_kept(collection) == kept(tmp_path, collection).path.stat().st_size > 0
+    assert bytes_kept(with_text(tmp_path)) == 0
+    np.save(tmp_path / "plain.npy", XYZ)
+    assert bytes_kept(MapCollection([tmp_path / "plain.npy"])) == 0
