@@ -1,6 +1,7 @@
 """The points of a finished run with all that its outputs say of them."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from pipeline.output_modes import DENSITY, LABEL, own_names
 from pipeline.outputs import LABELS_FILE, RUN_FILE
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
+from tiling.formats.base import DEFAULT_BATCH
 from tiling.formats.field_values import field_values
 
 Points = NDArray[np.float64]
@@ -115,26 +117,29 @@ def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Dens
         )
         return np.concatenate([static, dynamic]), labels, None
     path = folder / file["labelled"]
-    return _read_xyz(path), read_labels(path), _read_added(path, DENSITY)
+    labels = np.concatenate([np.empty(0, np.uint8), *label_batches(path)])
+    density = np.concatenate([np.empty(0), *_added_values(path, DENSITY)])
+    return _read_xyz(path), labels, density
 
 
-def read_labels(path: Path) -> Labels:
-    """Read the labels of a map that a run labelled.
+def label_batches(path: Path) -> Iterator[Labels]:
+    """Yield the labels of a map that a run labelled, in order.
 
     Raises
     ------
     OutputError
         When it has none, or its format does not give them back.
     """
-    return _read_added(path, LABEL).astype(np.uint8)
+    for values in _added_values(path, LABEL):
+        yield values.astype(np.uint8)
 
 
-def _read_added(path: Path, name: str) -> NDArray[np.float64]:
-    """Read a field that a run added, by the name that it got."""
+def _added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
+    """Yield the values of a field that a run added, by the name that it got."""
     names = [field.name for field in open_map(path).description.fields]
     own = next((each for each in reversed(own_names(name)) if each in names), name)
     try:
-        return np.concatenate([np.empty(0), *field_values(path, own)])
+        yield from field_values(path, own)
     except MapFormatError as error:
         raise OutputError(f"{error}; run again with --labels, which writes {LABELS_FILE}") from None
 
@@ -144,12 +149,18 @@ def _read_xyz(path: Path) -> Points:
 
 
 def _read_table(path: Path) -> tuple[Labels, Densities]:
-    table = pq.read_table(path, columns=["label", "density"])
+    batches = [(np.empty(0, np.uint8), np.empty(0)), *table_batches(path)]
+    labels, density = (np.concatenate(column) for column in zip(*batches, strict=True))
+    return labels, density
+
+
+def table_batches(path: Path) -> Iterator[tuple[Labels, Densities]]:
+    """Yield labels and densities from `labels.parquet`, in order."""
     numbers = {label.title: label.value for label in Label}
-    labels = np.empty(table.num_rows, np.uint8)
-    row = 0
-    for chunk in table["label"].chunks:
-        codes = np.array([numbers[title] for title in chunk.dictionary.to_pylist()], np.uint8)
-        labels[row : row + len(chunk)] = codes[chunk.indices.to_numpy()]
-        row += len(chunk)
-    return labels, table["density"].to_numpy()
+    with pq.ParquetFile(path) as file:
+        for batch in file.iter_batches(
+            DEFAULT_BATCH, columns=["label", "density"], use_threads=False
+        ):
+            label = batch.column("label")
+            codes = np.array([numbers[title] for title in label.dictionary.to_pylist()], np.uint8)
+            yield codes[label.indices.to_numpy()], batch.column("density").to_numpy()

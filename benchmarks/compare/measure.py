@@ -12,6 +12,7 @@ from pipeline.evaluation.evaluate import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.row_values import RowValues
 from tiling.formats.collection import MapCollection
 
 __all__ = ["evaluation_options", "measure"]
@@ -55,7 +56,7 @@ def measure(
         cleaned=MapCollection([cleaned]),
         truth=None,
         original=MapCollection([original]),
-        labels=labels,
-        removed=removed,
+        labels=RowValues.of(labels),
+        removed=RowValues.of(removed),
     )
     return evaluate(inputs, options, SilentObserver())

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pipeline.configuration import load_parameters
-from pipeline.evaluation.confusion import DynamicMapAccuracy
+from pipeline.evaluation.confusion import DynamicMapAccuracy, Tally
 from pipeline.evaluation.labels import Truth
 from pipeline.simulation import SimulationParameters, simulate
 
@@ -47,7 +47,7 @@ class LabelledMap:
             self.xyz[~kept], distance_upper_bound=MATCH_DISTANCE
         )
         matched[~kept] = np.isfinite(away)
-        return DynamicMapAccuracy.of(self.labels, matched, MATCH_DISTANCE)
+        return DynamicMapAccuracy.of(Tally().add(self.labels, matched), MATCH_DISTANCE)
 
 
 def labelled_map(settings: list[str]) -> LabelledMap:

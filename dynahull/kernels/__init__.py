@@ -3,11 +3,20 @@
 The plain versions, `dynahull.neighbours` and `dynahull.hull`, are their oracles.
 """
 
+from dynahull.kernels.closest import NO_RANK
 from dynahull.kernels.density import (
     HullDensities,
     hull_densities,
     nearest_rows,
     squared_reaches,
 )
+from dynahull.kernels.nearest_points import NearestSearch
 
-__all__ = ["HullDensities", "hull_densities", "nearest_rows", "squared_reaches"]
+__all__ = [
+    "NO_RANK",
+    "HullDensities",
+    "NearestSearch",
+    "hull_densities",
+    "nearest_rows",
+    "squared_reaches",
+]

@@ -10,19 +10,20 @@ import numba
 import numpy as np
 
 from dynahull.compilation import compiling, is_compiled, numba_cache
-from dynahull.kernels import solve
+from dynahull.kernels import closest, solve
 from dynahull.kernels.growth import make_growth
 from dynahull.kernels.solve import Results, make_room
-from dynahull.kernels.tree import make_tree
+from dynahull.kernels.tree import make_stack, make_tree
 
 _ONE_AT_A_TIME = Lock()
 
 
 class Kernels(NamedTuple):
-    """The compiled functions; see `dynahull.kernels.solve` for their parameters."""
+    """The compiled functions; see `dynahull.kernels.solve` and `.closest` for their parameters."""
 
     grow: Callable[..., None]
     solve: Callable[..., None]
+    find: Callable[..., None]
 
 
 def kernels() -> Kernels:
@@ -57,8 +58,11 @@ def _compile(cached: bool) -> Kernels:
     queries = np.zeros(4, np.bool_)
     grow_types = [numba.typeof(value) for value in (tree, rows, growth)]
     solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, room, results)]
+    places = np.zeros((1, 3)), 0, 1, make_stack(), np.empty(64), np.zeros(1), rows
+    find_types = [numba.typeof(value) for value in (tree, *places)]
     options = {"nogil": True, "error_model": "numpy", "cache": cached, "_nrt": False}
     return Kernels(
         numba.njit(numba.void(*grow_types), **options)(solve.grow),
         numba.njit(numba.void(*solve_types), **options)(solve.solve),
+        numba.njit(numba.void(*find_types), **options)(closest.find),
     )

@@ -1,6 +1,6 @@
 """From points to densities without ever holding all neighbours: leaf by leaf, query by query.
 
-These two functions are all that is compiled ahead; everything else is inlined into them.
+These two functions, and that of `closest`, are compiled ahead; all else is inlined into them.
 """
 
 from typing import NamedTuple

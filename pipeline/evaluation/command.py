@@ -42,38 +42,53 @@ LabelField = Annotated[
     ),
 ]
 DynamicLabels = Annotated[
-    str,
-    typer.Option("--dynamic", metavar="VALUES", help="Labels of what moved: 2, or 252-259."),
+    str | None,
+    typer.Option(
+        "--dynamic",
+        metavar="VALUES",
+        help="Labels of what moved: 2, or 252-259.",
+        show_default="1",
+    ),
 ]
 UnknownLabels = Annotated[
-    str,
+    str | None,
     typer.Option("--unlabelled", metavar="VALUES", help="Labels of points not to be compared."),
 ]
 TruthTolerance = Annotated[
-    float,
+    float | None,
     typer.Option(
         "--truth-tolerance",
         metavar="METRES",
         help="A point of the original this near to the truth is static.",
+        show_default="0.0001",
     ),
 ]
 CleanedTolerance = Annotated[
-    float,
+    float | None,
     typer.Option(
         "--cleaned-tolerance",
         metavar="METRES",
         help="A point of the original this near to the cleaned map was kept.",
+        show_default="0.0001",
     ),
 ]
 MatchDistance = Annotated[
-    float,
+    float | None,
     typer.Option(
-        "--match-distance", metavar="METRES", help="The same, for SA and DA (DynamicMap benchmark)."
+        "--match-distance",
+        metavar="METRES",
+        help="The same, for SA and DA (DynamicMap benchmark).",
+        show_default="0.05",
     ),
 ]
 Voxel = Annotated[
-    float,
-    typer.Option("--voxel", metavar="METRES", help="Edge of the voxels of PR and RR (ERASOR)."),
+    float | None,
+    typer.Option(
+        "--voxel",
+        metavar="METRES",
+        help="Edge of the voxels of PR and RR (ERASOR).",
+        show_default="0.2",
+    ),
 ]
 TransportPoints = Annotated[
     int,
@@ -84,14 +99,15 @@ TransportPoints = Annotated[
     ),
 ]
 GroundCostName = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--ground-cost",
         metavar="COST",
         help="Of the Earth Mover's Distance: euclidean or sqeuclidean.",
+        show_default="euclidean",
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Of the samples.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Of the samples.", show_default="0")]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
 ]
@@ -111,15 +127,15 @@ def evaluate_command(
     truth: TruthSource,
     original: Original = None,
     labels: LabelField = None,
-    dynamic: DynamicLabels = "1",
-    unlabelled: UnknownLabels = "",
-    truth_tolerance: TruthTolerance = 1e-4,
-    cleaned_tolerance: CleanedTolerance = 1e-4,
-    match_distance: MatchDistance = 0.05,
-    voxel: Voxel = 0.2,
+    dynamic: DynamicLabels = None,
+    unlabelled: UnknownLabels = None,
+    truth_tolerance: TruthTolerance = None,
+    cleaned_tolerance: CleanedTolerance = None,
+    match_distance: MatchDistance = None,
+    voxel: Voxel = None,
     emd_points: TransportPoints = 2000,
-    ground_cost: GroundCostName = "euclidean",
-    seed: Seed = 0,
+    ground_cost: GroundCostName = None,
+    seed: Seed = None,
     json_file: JsonFile = None,
     picture: PictureFile = None,
 ) -> None:
@@ -129,17 +145,21 @@ def evaluate_command(
     from pipeline.evaluation.options import EvaluationOptions  # noqa: PLC0415
     from pipeline.evaluation.results import evaluate_files  # noqa: PLC0415
 
+    given = {
+        "labels": labels,
+        "dynamic": dynamic,
+        "unlabelled": unlabelled,
+        "truth_tolerance": truth_tolerance,
+        "cleaned_tolerance": cleaned_tolerance,
+        "match_distance": match_distance,
+        "voxel": voxel,
+        "emd_points": emd_points,
+        "ground_cost": ground_cost,
+        "seed": seed,
+    }
+    # Only what was given: an option that would have no effect is refused, a default is not.
     options = EvaluationOptions.checked(
-        labels=labels,
-        dynamic=dynamic,
-        unlabelled=unlabelled,
-        truth_tolerance=truth_tolerance,
-        cleaned_tolerance=cleaned_tolerance,
-        match_distance=match_distance,
-        voxel=voxel,
-        emd_points=emd_points,
-        ground_cost=ground_cost,
-        seed=seed,
+        **{name: value for name, value in given.items() if value is not None}
     )
     report = evaluate_files(cleaned, truth, original, options, json_file, picture)
     Console().print(report.to_table())

@@ -6,6 +6,7 @@ that is left. So a method that removes less has fewer false positives, as the Dy
 """
 
 import math
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,22 @@ def harmonic_mean(first: float | None, second: float | None) -> float | None:
     if first is None or second is None:
         return None
     return 2 * first * second / (first + second) if first + second else 0.0
+
+
+class Tally:
+    """Points, counted by their truth and by something that is so or not, batch by batch."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(2 * len(Truth), np.int64)
+
+    def add(self, labels: Labels, so: NDArray[np.bool_]) -> Self:
+        """Count some more: their truth, (n,), and whether it is so, (n,)."""
+        self._counts += np.bincount(2 * labels.astype(np.intp) + so, minlength=len(self._counts))
+        return self
+
+    def of(self, truth: Truth) -> tuple[int, int]:
+        """Return of how many points of a truth it is not so, and of how many it is."""
+        return int(self._counts[2 * truth]), int(self._counts[2 * truth + 1])
 
 
 class Confusion(BaseModel):
@@ -64,18 +81,9 @@ class Confusion(BaseModel):
     f1: float | None
 
     @classmethod
-    def of(cls, labels: Labels, removed: NDArray[np.bool_]) -> "Confusion":
-        """Count the decisions.
-
-        Parameters
-        ----------
-        labels : (n,) int8 array
-            Of `Truth`; points of unknown truth are not counted.
-        removed : (n,) bool array
-        """
-        moved, static = labels == Truth.DYNAMIC, labels == Truth.STATIC
-        tp, fp = _count(moved & removed), _count(static & removed)
-        fn, tn = _count(moved & ~removed), _count(static & ~removed)
+    def of(cls, decisions: "Tally") -> "Confusion":
+        """Take them of the labelled points, counted by truth and by whether they were removed."""
+        (tn, fp), (fn, tp) = decisions.of(Truth.STATIC), decisions.of(Truth.DYNAMIC)
         precision, recall = percentage(tp, tp + fp), percentage(tp, tp + fn)
         return cls(
             true_positives=tp,
@@ -124,13 +132,10 @@ class DynamicMapAccuracy(BaseModel):
     match_distance: float
 
     @classmethod
-    def of(
-        cls, labels: Labels, matched: NDArray[np.bool_], match_distance: float
-    ) -> "DynamicMapAccuracy":
-        """Take them of labels, (n,), and of whether the cleaned map has a point that near, (n,)."""
-        moved, static = labels == Truth.DYNAMIC, labels == Truth.STATIC
-        sa = percentage(_count(static & matched), _count(static))
-        da = percentage(_count(moved & ~matched), _count(moved))
+    def of(cls, matches: "Tally", match_distance: float) -> "DynamicMapAccuracy":
+        """Take them of points counted by truth and by whether the cleaned map has one so near."""
+        static, moved = matches.of(Truth.STATIC), matches.of(Truth.DYNAMIC)
+        sa, da = percentage(static[1], sum(static)), percentage(moved[0], sum(moved))
         return cls(
             static_accuracy=sa,
             dynamic_accuracy=da,
@@ -138,7 +143,3 @@ class DynamicMapAccuracy(BaseModel):
             harmonic_accuracy=harmonic_mean(sa, da),
             match_distance=match_distance,
         )
-
-
-def _count(chosen: NDArray[np.bool_]) -> int:
-    return int(np.count_nonzero(chosen))

@@ -5,10 +5,16 @@ All of them take the distances from each point of one map to its nearest point i
 
 import math
 from collections.abc import Iterable
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
+
+from pipeline.evaluation.order_statistics import order_statistics
+
+Batches = Iterable[NDArray[np.float64]]
+"""Distances in batches, together at least one, which can be gone through several times."""
 
 
 class DistanceStatistics(BaseModel):
@@ -43,16 +49,20 @@ class DistanceStatistics(BaseModel):
     largest: float
 
     @classmethod
-    def of(cls, distances: NDArray[np.float64]) -> "DistanceStatistics":
-        """Take them of (n,) distances, n > 0."""
-        mean = float(distances.mean())
+    def of(cls, distances: Batches) -> "DistanceStatistics":
+        """Take them of distances; neither their order nor the batches matter, to the last bit."""
+        count = sum(map(len, distances))
+        mean = exact_sum(distances) / count
+        rank = 0.9 * (count - 1)
+        below = int(rank)
+        low, high = order_statistics(distances, below)
         return cls(
-            count=len(distances),
+            count=count,
             mean_absolute_error=mean,
-            variance=float(distances.var()),
-            root_mean_square_error=math.sqrt(float(np.square(distances).mean())),
-            percentile_90=float(np.percentile(distances, 90)),
-            largest=float(distances.max()),
+            variance=exact_sum(np.square(each - mean) for each in distances) / count,
+            root_mean_square_error=math.sqrt(_squares(distances) / count),
+            percentile_90=low + (rank - below) * (high - low),
+            largest=max(float(each.max(initial=0.0)) for each in distances),
         )
 
 
@@ -73,15 +83,10 @@ class DirectedChamfer(BaseModel):
     unsquared: float
 
     @classmethod
-    def of(cls, batches: Iterable[NDArray[np.float64]]) -> "DirectedChamfer":
-        """Take the means over distances that come in batches, together at least one."""
-        counts, sums, squares = [], [], []
-        for distances in batches:
-            counts.append(len(distances))
-            sums.append(float(distances.sum()))
-            squares.append(float(np.square(distances).sum()))
-        count = sum(counts)
-        return cls(squared=math.fsum(squares) / count, unsquared=math.fsum(sums) / count)
+    def of(cls, distances: Batches) -> "DirectedChamfer":
+        """Take the means; neither the order of the distances nor the batches matter."""
+        count = sum(map(len, distances))
+        return cls(squared=_squares(distances) / count, unsquared=exact_sum(distances) / count)
 
 
 class ChamferDistance(BaseModel):
@@ -122,3 +127,12 @@ class ChamferDistance(BaseModel):
             cleaned_to_truth=cleaned_to_truth,
             truth_to_cleaned=truth_to_cleaned,
         )
+
+
+def exact_sum(batches: Batches) -> float:
+    """Return the sum of all numbers as if it were rounded but once: in any order the same."""
+    return math.fsum(chain.from_iterable(each.tolist() for each in batches))
+
+
+def _squares(distances: Batches) -> float:
+    return exact_sum(np.square(each) for each in distances)

@@ -1,25 +1,36 @@
 """The evaluation of a cleaned map: what is static, how far the map is from it, who is to blame.
 
-Memory: one k-d tree of one map at a time, 48 bytes a point with its coordinates; 8 bytes for each
-point of the cleaned map (its distance, for the percentile), thrice that while they are summed up
-without a tree; some bytes for each of the original (labels, decisions); the voxels, up to 170
-bytes each while they are gathered, without a tree; and batches of fixed size. A map is read once
-for each tree that is built of it or looked up in.
+Memory does not grow with the maps: all of them are first cut by place into tiles on the disk, and
+then gone through tile by tile. Each map is read twice, in batches; what is found out about a point
+is written beside it. No figure depends on how the maps are cut, to the last bit.
 """
 
 from dataclasses import dataclass
-
-import numpy as np
+from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
 
 from dynahull.progress import Observer
-from pipeline.errors import EvaluationError
-from pipeline.evaluation.cloud import Cloud
-from pipeline.evaluation.earth_mover import transport_library
+from pipeline.errors import DiskSpaceError, EvaluationError
+from pipeline.evaluation.earth_mover import check_transport
 from pipeline.evaluation.geometry import Geometry, compare_geometry
 from pipeline.evaluation.inputs import EvaluationInputs
-from pipeline.evaluation.labels import Labels, Truth
+from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.picture import draw_picture
+from pipeline.evaluation.place import distance_apart
 from pipeline.evaluation.scoring import Scores, label_by_map, label_cleaned, score
+from pipeline.evaluation.tiled_cloud import (
+    POINT_BYTES,
+    CloudSource,
+    TiledCloud,
+    check_points,
+    cut_clouds,
+)
+from pipeline.resources import check_space
+from tiling.formats.collection import MapCollection
+
+_MORE_BYTES = 25
+"""On the disk, a point of the cleaned map at most: its distance, or the mean of its voxel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +41,12 @@ class Figures:
     scores: Scores | None
 
 
-def evaluate(inputs: EvaluationInputs, options: EvaluationOptions, observer: Observer) -> Figures:
+def evaluate(
+    inputs: EvaluationInputs,
+    options: EvaluationOptions,
+    observer: Observer,
+    picture: Path | None = None,
+) -> Figures:
     """Compare a cleaned map with the truth.
 
     Parameters
@@ -39,6 +55,8 @@ def evaluate(inputs: EvaluationInputs, options: EvaluationOptions, observer: Obs
     options : EvaluationOptions
     observer : Observer
         Told of stages, progress and warnings.
+    picture : Path, optional
+        Where to draw the decisions, if there is an original map.
 
     Returns
     -------
@@ -46,52 +64,103 @@ def evaluate(inputs: EvaluationInputs, options: EvaluationOptions, observer: Obs
 
     Raises
     ------
+    DiskSpaceError
+        When the folder for temporary files has no room.
     EvaluationError
         When a map, or what of it can be compared, has no finite point.
     MissingPackageError
         When an Earth Mover's Distance is asked for without POT.
+    PlanError
+        When it would take more memory than there is.
     TilingError
         When a map cannot be read.
     """
-    if options.emd_points:
-        transport_library()  # before the work, not after it
-    cleaned = Cloud(inputs.cleaned, inputs.kept)
-    if inputs.original is None:
-        assert inputs.truth is not None
-        return Figures(compare_geometry(cleaned, Cloud(inputs.truth), options, observer), None)
+    sources = _sources(inputs)
+    if options.emd_points:  # before the work, not after it
+        counts = {name: each.collection.point_count for name, each in sources.items()}
+        check_transport(
+            options.emd_points, counts["cleaned"], counts.get("truth") or counts["original"]
+        )
+    _check_disk([source.collection for source in sources.values()], inputs.cleaned)
+    with TemporaryDirectory(prefix="dynahull-evaluate-") as name:
+        folder = Path(name)
+        clouds = cut_clouds(sources, options.voxel, folder, observer)
+        return _compare(clouds, inputs, options, folder, observer, picture)
 
-    original = Cloud(inputs.original)
-    if inputs.truth is not None:
-        truth = Cloud(inputs.truth)
-        labels = label_by_map(original, truth, options, observer)
+
+def _compare(
+    clouds: dict[str, TiledCloud],
+    inputs: EvaluationInputs,
+    options: EvaluationOptions,
+    folder: Path,
+    observer: Observer,
+    picture: Path | None,
+) -> Figures:
+    """Compare maps that are cut."""
+    cleaned, truth, original = clouds["cleaned"], clouds.get("truth"), clouds.get("original")
+    if original is None:
+        assert truth is not None
+        if apart := distance_apart(cleaned, truth):
+            observer.warn(
+                f"{cleaned.name} lies {apart:g} m from {truth.name}: are they in the same "
+                "coordinates?"
+            )
+        return Figures(compare_geometry(cleaned, truth, options, folder, observer), None)
+    if truth is not None:
+        _check_place(truth, original)
+        label_by_map(original, truth, options, observer)
     else:
-        assert inputs.labels is not None
-        labels = _known(inputs.labels, original)
-        truth = original.choose(labels == Truth.STATIC)
-    _check(labels, original, observer)
+        truth = original.choose(Truth.STATIC)
+    _check_labels(original, observer)
     # Where nobody knows what is true, nothing is compared.
-    cleaned_labels = label_cleaned(cleaned, original, labels, options, observer)
-    known = cleaned_labels != Truth.UNKNOWN
-    cleaned, cleaned_labels = cleaned.choose(known), cleaned_labels[known]
-    geometry = compare_geometry(cleaned, truth, options, observer)
-    scores = score(cleaned, cleaned_labels, original, labels, inputs.removed, options, observer)
+    label_cleaned(cleaned, original, options, observer)
+    cleaned = cleaned.choose(Truth.STATIC, Truth.DYNAMIC)
+    check_points(cleaned, " among those that are to be compared")
+    geometry = compare_geometry(cleaned, truth, options, folder, observer)
+    removed_known = inputs.removed is not None
+    scores = score(cleaned, original, removed_known, options, folder, observer)
+    if picture is not None:
+        draw_picture(original, picture, observer)
     return Figures(geometry, scores)
 
 
-def _check(labels: Labels, original: Cloud, observer: Observer) -> None:
+def _sources(inputs: EvaluationInputs) -> dict[str, CloudSource]:
+    """Return the maps to cut. What the original is labelled by a map for is not known yet."""
+    sources = {"cleaned": CloudSource(inputs.cleaned, chosen=inputs.kept)}
+    if inputs.truth is not None:
+        sources["truth"] = CloudSource(inputs.truth)
+    if inputs.original is not None:
+        sources["original"] = CloudSource(
+            inputs.original, labels=inputs.labels, removed=inputs.removed
+        )
+    return sources
+
+
+def _check_disk(collections: list[MapCollection], cleaned: MapCollection) -> None:
+    """Refuse maps that the folder for temporary files has no room for, cut into tiles."""
+    temporary = POINT_BYTES * sum(each.point_count for each in collections)
+    temporary += _MORE_BYTES * max(each.point_count for each in collections)
+    try:
+        check_space(Path(gettempdir()), temporary, 0, 0)
+    except DiskSpaceError as error:
+        raise DiskSpaceError(f"{error} (TMPDIR names another folder)") from None
+
+
+def _check_place(truth: TiledCloud, original: TiledCloud) -> None:
+    """Refuse a truth of another place, in which nothing of the original can be static."""
+    if apart := distance_apart(truth, original):
+        raise EvaluationError(
+            f"{truth.name}: expected a map of the same place as {original.name}, found it "
+            f"{apart:g} m away: are they in the same coordinates?"
+        )
+
+
+def _check_labels(original: TiledCloud, observer: Observer) -> None:
     """Refuse labels without a static point, and warn of labels without one that moved."""
-    if not (labels == Truth.STATIC).any():
+    if not len(original.choose(Truth.STATIC)):
         raise EvaluationError(
             f"{original.name}: expected points that are static in truth, found none "
             "(--dynamic, --unlabelled and --truth-tolerance say which are)"
         )
-    if not (labels == Truth.DYNAMIC).any():
+    if not len(original.choose(Truth.DYNAMIC)):
         observer.warn(f"{original.name}: no point moved in truth: recall, DA and RR are undefined")
-
-
-def _known(labels: Labels, original: Cloud) -> Labels:
-    """Call the truth of points without finite coordinates unknown."""
-    known = np.full_like(labels, Truth.UNKNOWN)
-    for rows, _ in original.batches():
-        known[rows] = labels[rows]
-    return known

@@ -1,15 +1,16 @@
 """The cleaned map against the truth, place by place: who removed what is not asked."""
 
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from pathlib import Path
 
 from dynahull.progress import Observer
-from pipeline.evaluation.cloud import Cloud, NearestPoint, look_up
+from pipeline.evaluation.distance_file import DistanceFile
 from pipeline.evaluation.distances import ChamferDistance, DirectedChamfer, DistanceStatistics
-from pipeline.evaluation.earth_mover import EarthMoversDistance, draw_sample, transport_cost
+from pipeline.evaluation.earth_mover import EarthMoversDistance, transport_cost
+from pipeline.evaluation.nearest_point import look_up
 from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.sample import draw_sample
+from pipeline.evaluation.tiled_cloud import TiledCloud
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,66 +23,67 @@ class Geometry:
 
 
 def compare_geometry(
-    cleaned: Cloud, truth: Cloud, options: EvaluationOptions, observer: Observer
+    cleaned: TiledCloud,
+    truth: TiledCloud,
+    options: EvaluationOptions,
+    folder: Path,
+    observer: Observer,
 ) -> Geometry:
     """Measure the distances between the cleaned map and the truth.
 
     Parameters
     ----------
-    cleaned, truth : Cloud
-        Each with at least one finite point.
+    cleaned, truth : TiledCloud
+        Each with at least one point.
     options : EvaluationOptions
         Of the Earth Mover's Distance.
+    folder : Path
+        For the distances, in one direction at a time.
     observer : Observer
 
     Returns
     -------
     Geometry
-
-    Raises
-    ------
-    EvaluationError
-        When a cloud has no finite point.
     """
-    points = truth.points()
-    truth_sample, other_sample = (
-        draw_sample(points, options.emd_points, options.seed, stream) for stream in (0, 1)
-    )
-    distances = _all_distances(cleaned, NearestPoint(points), observer)
-    del points
-
-    points = cleaned.points()
-    cleaned_sample = draw_sample(points, options.emd_points, options.seed, 2)
-    found = look_up(truth, NearestPoint(points), observer, "from the truth")
-    lacking = DirectedChamfer.of(batch for _, batch, _ in found)
-    del points
-
-    earth_mover = None
-    if options.emd_points:
-        observer.stage("transport", len(cleaned_sample))
-        earth_mover = EarthMoversDistance(
-            distance=transport_cost(cleaned_sample, truth_sample, options.ground_cost),
-            sampling_floor=transport_cost(other_sample, truth_sample, options.ground_cost),
-            cleaned_points=len(cleaned_sample),
-            truth_points=len(truth_sample),
-            ground_cost=options.ground_cost,
-            seed=options.seed,
-        )
-        observer.advance(len(cleaned_sample))
+    distances = _all_distances(cleaned, truth, folder, observer, "to the truth")
+    statistics, too_much = DistanceStatistics.of(distances), DirectedChamfer.of(distances)
+    distances.remove()
+    distances = _all_distances(truth, cleaned, folder, observer, "from the truth")
+    lacking = DirectedChamfer.of(distances)
+    distances.remove()
     return Geometry(
-        distances=DistanceStatistics.of(distances),
-        chamfer=ChamferDistance.of(DirectedChamfer.of([distances]), lacking),
-        earth_mover=earth_mover,
+        distances=statistics,
+        chamfer=ChamferDistance.of(too_much, lacking),
+        earth_mover=_transport(cleaned, truth, options, observer) if options.emd_points else None,
     )
 
 
 def _all_distances(
-    cleaned: Cloud, nearest: NearestPoint, observer: Observer
-) -> NDArray[np.float64]:
-    """Gather the distances of all points: the percentile needs them at once."""
-    distances = np.empty(cleaned.row_count)
-    count = 0
-    for rows, batch, _ in look_up(cleaned, nearest, observer, "to the truth"):
-        distances[count : count + len(rows)] = batch
-        count += len(rows)
-    return distances[:count]
+    cloud: TiledCloud, other: TiledCloud, folder: Path, observer: Observer, stage: str
+) -> DistanceFile:
+    """Write the distances of all points, which the percentile and the variance need again."""
+    distances = DistanceFile(folder / "distances")
+    for _, nearest in look_up(cloud, other, observer, stage):
+        distances.append(nearest.distances)
+    return distances
+
+
+def _transport(
+    cleaned: TiledCloud, truth: TiledCloud, options: EvaluationOptions, observer: Observer
+) -> EarthMoversDistance:
+    """Move a sample of the cleaned map, and another of the truth, onto a sample of the truth."""
+    of_truth, other, of_cleaned = (
+        draw_sample(cloud, options.emd_points, options.seed, stream)
+        for stream, cloud in enumerate((truth, truth, cleaned))
+    )
+    observer.stage("transport", len(of_cleaned))
+    earth_mover = EarthMoversDistance(
+        distance=transport_cost(of_cleaned, of_truth, options.ground_cost),
+        sampling_floor=transport_cost(other, of_truth, options.ground_cost),
+        cleaned_points=len(of_cleaned),
+        truth_points=len(of_truth),
+        ground_cost=options.ground_cost,
+        seed=options.seed,
+    )
+    observer.advance(len(of_cleaned))
+    return earth_mover

@@ -4,23 +4,20 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from dynahull import Label
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.labels import (
-    Labels,
     is_label_table,
     parse_values,
     read_label_table,
     read_labels_of_map,
 )
 from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.row_values import RowValues
 from pipeline.outputs import LABELS_FILE, RUN_FILE
-from pipeline.result import read_labels
+from pipeline.result import label_batches, table_batches
 from tiling.formats.collection import MapCollection, find_map_files
 
 
@@ -35,20 +32,21 @@ class EvaluationInputs:
         A map of what is static; None where `labels` say it.
     original : MapCollection or None
         The map before it was cleaned.
-    labels : (N,) int8 array or None
+    labels : RowValues or None
         `Truth` of each row of the original, where the user has it.
-    removed : (N,) bool array or None
-        Rows of the original that the run removed, where its folder says so.
-    kept : (M,) bool array or None
-        Points of `cleaned` that are left, where the run labelled them all (output.mode label).
+    removed : RowValues or None
+        Which rows of the original the run removed, bool, where its folder says so.
+    kept : RowValues or None
+        Which points of `cleaned` are left, bool, where the run labelled them all (output.mode
+        label).
     """
 
     cleaned: MapCollection
     truth: MapCollection | None
     original: MapCollection | None
-    labels: Labels | None
-    removed: NDArray[np.bool_] | None
-    kept: NDArray[np.bool_] | None = None
+    labels: RowValues | None
+    removed: RowValues | None
+    kept: RowValues | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +65,7 @@ class _RunFolder:
 def find_inputs(
     cleaned: str, truth: str, original: str | None, options: EvaluationOptions
 ) -> EvaluationInputs:
-    """Find and check the files of an evaluation; no point of a map is read, labels are.
+    """Find and check the files of an evaluation; neither points nor labels are read.
 
     Parameters
     ----------
@@ -93,17 +91,18 @@ def find_inputs(
     kept = _kept_rows(run) if run and run.labelled else None
     dynamic = parse_values("--dynamic", options.dynamic)
     unlabelled = parse_values("--unlabelled", options.unlabelled)
-    labels: Labels | None = None
+    labels: RowValues | None = None
     truth_map: MapCollection | None = None
     if is_label_table(Path(truth)):
         original_map = _original(original, run)
         if original_map is None:
             raise EvaluationError(f"{truth}: labels are of an original map; give it by --original")
         labels = read_label_table(Path(truth), options.labels, dynamic, unlabelled)
-        if len(labels) != original_map.point_count:
+        rows = pq.read_metadata(truth).num_rows
+        if rows != original_map.point_count:
             raise EvaluationError(
                 f"{truth}: expected labels of the {original_map.point_count:,} points of "
-                f"{original_map.name}, found {len(labels):,}"
+                f"{original_map.name}, found {rows:,}"
             )
     elif options.labels is not None:
         original_map = MapCollection(find_map_files([truth]))
@@ -115,7 +114,8 @@ def find_inputs(
     else:
         truth_map = MapCollection(find_map_files([truth]))
         original_map = _original(original, run)
-    removed = _removed_rows(run, kept, original_map) if run and original_map else None
+    options.refuse_unused(labelled=labels is not None, original=original_map is not None)
+    removed = _removed_rows(run, kept, cleaned_map, original_map) if run and original_map else None
     return EvaluationInputs(cleaned_map, truth_map, original_map, labels, removed, kept)
 
 
@@ -146,29 +146,32 @@ def _original(original: str | None, run: _RunFolder | None) -> MapCollection | N
     return None
 
 
-def _kept_rows(run: _RunFolder) -> NDArray[np.bool_]:
+def _kept_rows(run: _RunFolder) -> RowValues:
     """Return which points of the labelled maps of a run are not called dynamic."""
-    return np.concatenate([read_labels(path) != Label.DYNAMIC for path in run.cleaned])
+    for path in run.cleaned:
+        next(label_batches(path), None)  # so that labels that are missing are named now
+    return RowValues(
+        lambda: (labels != Label.DYNAMIC for path in run.cleaned for labels in label_batches(path))
+    )
 
 
 def _removed_rows(
-    run: _RunFolder, kept: NDArray[np.bool_] | None, original: MapCollection
-) -> NDArray[np.bool_] | None:
+    run: _RunFolder, kept: RowValues | None, cleaned: MapCollection, original: MapCollection
+) -> RowValues | None:
     """Return which rows the run removed; None if it kept no labels or cleaned another map."""
     if not _same_files(run.originals, original.paths):
         return None
-    if kept is not None and len(kept) == original.point_count:
-        return ~kept
+    if kept is not None and cleaned.point_count == original.point_count:
+        return RowValues(lambda: (~each for each in kept))
     if not run.labels.is_file():
         return None
-    label = pq.read_table(run.labels, columns=["label"]).column(0)
-    removed = pc.equal(label.cast("string"), Label.DYNAMIC.title)
-    if len(removed) != original.point_count:
+    rows = pq.read_metadata(run.labels).num_rows
+    if rows != original.point_count:
         raise EvaluationError(
             f"{run.labels}: expected a label of the {original.point_count:,} points of "
-            f"{original.name}, found {len(removed):,}: the map was changed since it was cleaned"
+            f"{original.name}, found {rows:,}: the map was changed since it was cleaned"
         )
-    return np.asarray(removed.to_numpy(), dtype=np.bool_)
+    return RowValues(lambda: (labels == Label.DYNAMIC for labels, _ in table_batches(run.labels)))
 
 
 def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:

@@ -1,7 +1,7 @@
 """What is true of each point of the original map: it is static, or moved, or nobody said."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
 
@@ -11,6 +11,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, EvaluationError
+from pipeline.evaluation.row_values import RowValues
+from tiling.formats.base import DEFAULT_BATCH
 from tiling.formats.collection import MapCollection
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.field_values import field_values
@@ -34,7 +36,7 @@ class Truth(IntEnum):
 
 
 Labels = NDArray[np.int8]
-"""One `Truth` for every row of the original map."""
+"""A `Truth` for each of some points."""
 
 
 def parse_values(option: str, text: str) -> tuple[range, ...]:
@@ -101,8 +103,8 @@ def is_label_table(path: Path) -> bool:
 
 def read_label_table(
     path: Path, column: str | None, dynamic: Sequence[range], unlabelled: Sequence[range]
-) -> Labels:
-    """Read labels from a table of one row a point, such as the `truth.parquet` of `simulate`.
+) -> RowValues:
+    """Return the labels of a table of one row a point, such as the `truth.parquet` of `simulate`.
 
     Parameters
     ----------
@@ -123,36 +125,42 @@ def read_label_table(
         raise EvaluationError(
             f"{path}: expected a column {column!r} (--labels), found {', '.join(names)}"
         )
-    values = pq.read_table(path, columns=[column]).column(0).to_numpy()
-    if values.dtype.kind not in "biuf":
-        raise EvaluationError(f"{path}: expected numbers in {column!r}, found {values.dtype}")
-    return to_truth(values, dynamic, unlabelled)
+    labels = RowValues(
+        lambda: (to_truth(each, dynamic, unlabelled) for each in _table_values(path, column))
+    )
+    next(iter(labels), None)  # so that what is wrong with the column is said now
+    return labels
+
+
+def _table_values(path: Path, column: str) -> Iterator[NDArray[np.generic]]:
+    with pq.ParquetFile(path) as file:
+        for batch in file.iter_batches(DEFAULT_BATCH, columns=[column], use_threads=False):
+            values = batch.column(0).to_numpy(zero_copy_only=False)
+            if values.dtype.kind not in "biuf":
+                found = "missing values" if batch.column(0).null_count else f"{values.dtype}"
+                raise EvaluationError(f"{path}: expected numbers in {column!r}, found {found}")
+            yield values
 
 
 def read_labels_of_map(
     collection: MapCollection, field: str, dynamic: Sequence[range], unlabelled: Sequence[range]
-) -> Labels:
-    """Read the labels that a map carries in one of its fields, in the order of its rows.
+) -> RowValues:
+    """Return the labels that a map carries in one of its fields.
 
     Raises
     ------
     MapFormatError
         When a file of the map has no such field of numbers.
     """
-    return np.concatenate(
-        [
-            np.empty(0, dtype=np.int8),
-            *(
-                to_truth(values, dynamic, unlabelled)
-                for values in _all_values(collection.paths, field)
-            ),
-        ]
+    for path in collection.paths:
+        next(field_values(path, field), None)  # so that a field that is missing is named now
+    return RowValues(
+        lambda: (
+            to_truth(values, dynamic, unlabelled)
+            for path in collection.paths
+            for values in field_values(path, field)
+        )
     )
-
-
-def _all_values(paths: Iterable[Path], field: str) -> Iterator[NDArray[np.generic]]:
-    for path in paths:
-        yield from field_values(path, field)
 
 
 def _within(classes: NDArray[np.int64], ranges: Sequence[range]) -> NDArray[np.bool_]:

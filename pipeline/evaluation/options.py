@@ -25,7 +25,7 @@ class EvaluationOptions(BaseModel):
     match_distance : float
         Metres, of SA and DA.
     voxel : float
-        Metres, of PR and RR.
+        Metres, of PR and RR; at least a micrometre.
     emd_points : int
         Size of the samples for the Earth Mover's Distance; 0: none is computed.
     ground_cost : str
@@ -41,7 +41,7 @@ class EvaluationOptions(BaseModel):
     truth_tolerance: float = Field(1e-4, ge=0, allow_inf_nan=False)
     cleaned_tolerance: float = Field(1e-4, ge=0, allow_inf_nan=False)
     match_distance: float = Field(0.05, gt=0, allow_inf_nan=False)
-    voxel: float = Field(0.2, gt=0, allow_inf_nan=False)
+    voxel: float = Field(0.2, ge=1e-6, allow_inf_nan=False)
     emd_points: int = Field(2000, ge=0)
     ground_cost: GroundCost = "euclidean"
     seed: int = Field(0, ge=0)
@@ -60,3 +60,34 @@ class EvaluationOptions(BaseModel):
         except ValidationError as error:
             option, _, problem = validation_message(error, cls).partition(":")
             raise ConfigurationError(f"--{option.replace('_', '-')}:{problem}") from None
+
+    def refuse_unused(self, *, labelled: bool, original: bool) -> None:
+        """Refuse options that were given and have no effect.
+
+        Parameters
+        ----------
+        labelled : bool
+            Whether the truth is labels; otherwise it is a map of what is static.
+        original : bool
+            Whether there is an original map.
+
+        Raises
+        ------
+        ConfigurationError
+        """
+        unused: dict[str, str] = {}
+        if labelled:
+            unused["truth_tolerance"] = "the truth is labels, not a map of what is static"
+        else:
+            without_labels = "the truth is a map without labels (--labels names their field)"
+            unused |= dict.fromkeys(("dynamic", "unlabelled"), without_labels)
+        if not original:
+            names = ("truth_tolerance", "cleaned_tolerance", "match_distance", "voxel")
+            unused |= dict.fromkeys(names, "there is no original map (--original)")
+        if not self.emd_points:
+            without_transport = "no samples are drawn (--emd-points 0)"
+            unused |= dict.fromkeys(("ground_cost", "seed"), without_transport)
+        for name, reason in unused.items():
+            if name in self.model_fields_set:
+                option = name.replace("_", "-")
+                raise ConfigurationError(f"--{option}: it has no effect here: {reason}")

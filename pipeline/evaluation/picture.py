@@ -1,6 +1,6 @@
 """A map from above, every decision in the colour of the DynaHull paper.
 
-Points are counted in pixels, batch by batch: memory does not grow with the map.
+Points are counted in pixels, tile by tile: memory does not grow with the map.
 """
 
 import math
@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.progress import Observer
 from pipeline.errors import EvaluationError, MissingPackageError, OutputError
 from pipeline.evaluation.labels import Truth
-from pipeline.evaluation.scoring import ScoredMap
+from pipeline.evaluation.tiled_cloud import TiledCloud
 from tiling.atomic import atomic_file
 
 MOST_PIXELS, LEAST_PIXELS = 1200, 300
@@ -48,13 +49,14 @@ def drawing_library() -> Any:
 
 
 def decision_counts(
-    scored: ScoredMap, pixels: int
+    scored: TiledCloud, pixels: int
 ) -> tuple[NDArray[np.int64], tuple[float, float, float, float]]:
     """Count the points of each decision in each pixel, seen from above.
 
     Parameters
     ----------
-    scored : ScoredMap
+    scored : TiledCloud
+        The original map, with labels and what was removed.
     pixels : int
         On the longer side.
 
@@ -70,20 +72,19 @@ def decision_counts(
     EvaluationError
         When no point is labelled.
     """
-    known = scored.original.choose(scored.labels != Truth.UNKNOWN)
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for _, xyz in known.batches():
-        if len(xyz):
-            low = np.minimum(low, xyz[:, :2].min(axis=0))
-            high = np.maximum(high, xyz[:, :2].max(axis=0))
-    if not np.isfinite(low).all():
+    known = scored.choose(Truth.STATIC, Truth.DYNAMIC)
+    if not len(known):
         raise EvaluationError(f"{known.name}: expected labelled points to draw, found none")
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for tile in known.tiles():
+        xy = known.xyz(tile)[:, :2]
+        low, high = np.minimum(low, xy.min(axis=0)), np.maximum(high, xy.max(axis=0))
     size = max(float((high - low).max()), 1e-9) / pixels
     width, height = (int(side) for side in np.floor((high - low) / size).astype(np.int64) + 1)
     counts = np.zeros(4 * height * width, dtype=np.int64)
-    for rows, xyz in known.batches():
-        column, line = np.floor((xyz[:, :2] - low) / size).astype(np.int64).T
-        moved, removed = scored.labels[rows] == Truth.DYNAMIC, scored.removed[rows]
+    for tile in known.tiles():
+        column, line = np.floor((known.xyz(tile)[:, :2] - low) / size).astype(np.int64).T
+        moved, removed = known.labels(tile) == Truth.DYNAMIC, known.removed(tile)
         decision = np.select([moved & removed, removed, moved], [1, 2, 3], 0)
         flat = (decision * height + line) * width + column
         counts += np.bincount(flat, minlength=counts.size)
@@ -119,14 +120,16 @@ def colour_pixels(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     return image
 
 
-def draw_picture(scored: ScoredMap, path: Path) -> None:
+def draw_picture(scored: TiledCloud, path: Path, observer: Observer) -> None:
     """Draw the map from above into a PNG file.
 
     Parameters
     ----------
-    scored : ScoredMap
+    scored : TiledCloud
+        As `decision_counts` takes it.
     path : Path
         Replaced when the picture is complete.
+    observer : Observer
 
     Raises
     ------
@@ -138,7 +141,8 @@ def draw_picture(scored: ScoredMap, path: Path) -> None:
         When the file cannot be written.
     """
     mpl = drawing_library()
-    known = int(np.count_nonzero(scored.labels != Truth.UNKNOWN))
+    known = len(scored.choose(Truth.STATIC, Truth.DYNAMIC))
+    observer.stage("picture", known)
     pixels = min(max(math.isqrt(known), LEAST_PIXELS), MOST_PIXELS)
     counts, extent = decision_counts(scored, pixels)
     left, right, bottom, top = extent

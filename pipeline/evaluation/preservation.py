@@ -1,21 +1,18 @@
 """Preservation and rejection rate of ERASOR, on voxels."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from pipeline.evaluation.cloud import NearestPoint
-from pipeline.evaluation.confusion import harmonic_mean, percentage
+from dynahull.progress import Observer
+from pipeline.evaluation.confusion import Tally, harmonic_mean, percentage
 from pipeline.evaluation.labels import Labels, Truth
-
-_MOST_VOXELS = 4_000_000
-"""Voxels that are gathered from batches before those of the same place are put together."""
-
-_Voxels = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
-"""Cells, (n, 3), sums of their points, (n, 3), and numbers of their points, (n,)."""
+from pipeline.evaluation.nearest_point import find_nearest
+from pipeline.evaluation.tiled_cloud import TiledCloud, voxel_cells
 
 
 class Preservation(BaseModel):
@@ -27,8 +24,9 @@ class Preservation(BaseModel):
     (LimHyungTae/ERASOR, `scripts/analysis.py` and `voxelize_preserving_labels`): both maps become
     one point a voxel, the mean of its points, with the label of the map's point nearest to the
     mean; a point of the original is preserved if the nearest point of the cleaned map is nearer
-    than half a voxel's diagonal and has the same label. The code's list of dynamic classes lacks
-    258, the moving truck; here they are what the user says.
+    than half a voxel's diagonal and has the same label. Of equally near points the static one
+    counts here, where in the code the order of the rows decides. The code's list of dynamic classes
+    lacks 258, the moving truck; here they are what the user says.
 
     Attributes
     ----------
@@ -54,88 +52,79 @@ class Preservation(BaseModel):
     dynamic_voxels: int
 
     @classmethod
-    def of(
-        cls,
-        original: NDArray[np.float64],
-        original_labels: Labels,
-        cleaned: NDArray[np.float64],
-        cleaned_labels: Labels,
-        voxel: float,
-    ) -> "Preservation":
-        """Compare two maps of one labelled point a voxel.
-
-        Parameters
-        ----------
-        original, cleaned : (n, 3) and (m, 3) float64 arrays
-            Voxel means; m > 0.
-        original_labels, cleaned_labels : (n,) and (m,) int8 arrays
-            Of `Truth`.
-        voxel : float
-            Edge, metres.
-        """
-        distances, nearest = NearestPoint(cleaned).find(original)
-        near = distances < voxel * math.sqrt(3) / 2
-        preserved = near & (cleaned_labels[nearest] == original_labels)
-        static = original_labels == Truth.STATIC
-        moved = original_labels == Truth.DYNAMIC
-        static_count, moved_count = int(np.count_nonzero(static)), int(np.count_nonzero(moved))
-        kept = percentage(int(np.count_nonzero(static & preserved)), static_count)
-        rejected = percentage(moved_count - int(np.count_nonzero(moved & preserved)), moved_count)
+    def of(cls, voxels: Tally, voxel: float) -> "Preservation":
+        """Take them of the original's voxels, counted by truth and by whether it is preserved."""
+        static, moved = voxels.of(Truth.STATIC), voxels.of(Truth.DYNAMIC)
+        kept, rejected = percentage(static[1], sum(static)), percentage(moved[0], sum(moved))
         return cls(
             preservation_rate=kept,
             rejection_rate=rejected,
             f1=harmonic_mean(kept, rejected),
             voxel=voxel,
-            static_voxels=static_count,
-            dynamic_voxels=moved_count,
+            static_voxels=sum(static),
+            dynamic_voxels=sum(moved),
         )
 
 
-def voxel_means(
-    batches: Iterable[NDArray[np.float64]], voxel: float, most_voxels: int = _MOST_VOXELS
-) -> NDArray[np.float64]:
+def voxel_means(points: NDArray[np.float64], voxel: float) -> NDArray[np.float64]:
     """Return the mean of the points in each voxel, as PCL's `VoxelGrid` does.
 
     Parameters
     ----------
-    batches : iterable of (n, 3) float64 arrays
+    points : (n, 3) float64 array
+        All points of each of their voxels.
     voxel : float
         Edge, metres; the voxels' corners are whole multiples of it.
-    most_voxels : int
-        Memory is bounded by this number and that of all voxels.
 
     Returns
     -------
     (m, 3) float64 array
-        In the order of the voxels.
+        In the order of the voxels; the order of the points does not change a bit.
     """
-    parts: list[_Voxels] = [(np.empty((0, 3), np.int64), np.empty((0, 3)), np.empty(0, np.int64))]
-    for xyz in batches:
-        cells = np.floor(xyz / voxel).astype(np.int64)
-        parts.append(_put_together(cells, xyz, np.ones(len(xyz), dtype=np.int64)))
-        # Where voxels are many, only when there are twice as many: the sorting stays cheap.
-        if sum(len(part[0]) for part in parts) > max(most_voxels, 2 * len(parts[0][0])):
-            parts = [_merged(parts)]
-    _, sums, counts = _merged(parts)
-    return sums / counts[:, np.newaxis]
-
-
-def _merged(parts: list[_Voxels]) -> _Voxels:
-    cells, sums, counts = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _put_together(cells, sums, counts)
-
-
-def _put_together(
-    cells: NDArray[np.int64], sums: NDArray[np.float64], counts: NDArray[np.int64]
-) -> _Voxels:
-    """Add up what lies in the same cell."""
-    if len(cells) == 0:
-        return cells, sums, counts
-    order = np.lexsort(cells.T)
-    cells = cells[order]
+    if not len(points):
+        return points
+    # By cell, and within it by place: sums are rounded, and must not depend on the rows.
+    cells = voxel_cells(points, voxel)
+    order = np.lexsort((*points.T[::-1], *cells.T[::-1]))
+    cells, points = cells[order], points[order]
     starts = np.flatnonzero(np.r_[True, (cells[1:] != cells[:-1]).any(axis=1)])
-    return (
-        cells[starts],
-        np.add.reduceat(sums[order], starts, axis=0),
-        np.add.reduceat(counts[order], starts),
-    )
+    counts = np.diff(np.r_[starts, len(points)])
+    return np.asarray(np.add.reduceat(points, starts, axis=0) / counts[:, np.newaxis])
+
+
+def compare_voxels(
+    original: TiledCloud, cleaned: TiledCloud, voxel: float, folder: Path, observer: Observer
+) -> Preservation:
+    """Make one labelled point a voxel of two maps, and compare.
+
+    Parameters
+    ----------
+    original, cleaned : TiledCloud
+        Their labelled points.
+    voxel : float
+        Edge, metres, as the maps were cut.
+    folder : Path
+        For the means of the cleaned map.
+    observer : Observer
+    """
+    means = TiledCloud(cleaned.name, folder, len(cleaned.low))
+    for tile, xyz, labels in _labelled_means(cleaned, voxel, "voxels, cleaned", observer):
+        means.append(tile, xyz, labels)
+    reach = voxel * math.sqrt(3) / 2
+    voxels = Tally()
+    for _, xyz, labels in _labelled_means(original, voxel, "voxels, original", observer):
+        nearest = find_nearest(xyz, means, reach)
+        voxels.add(labels, (nearest.distances < reach) & (nearest.labels == labels))
+    return Preservation.of(voxels, voxel)
+
+
+def _labelled_means(
+    cloud: TiledCloud, voxel: float, stage: str, observer: Observer
+) -> Iterator[tuple[int, NDArray[np.float64], Labels]]:
+    """Yield tile by tile the means of the voxels, each with the label of the nearest point."""
+    observer.stage(stage, len(cloud))
+    for tile, count in enumerate(cloud.counts.tolist()):
+        if count:
+            means = voxel_means(cloud.xyz(tile), voxel)
+            yield tile, means, find_nearest(means, cloud).labels
+            observer.advance(count)

@@ -6,7 +6,7 @@ from pipeline.errors import ConfigurationError, OutputError
 from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.picture import draw_picture, drawing_library
+from pipeline.evaluation.picture import drawing_library
 from pipeline.evaluation.report import EvaluationReport
 from pipeline.outputs import RUN_FILE
 from pipeline.progress import watching
@@ -59,10 +59,7 @@ def evaluate_files(
                 f"{cleaned}: the map that was cleaned is no longer there; only distances are "
                 "measured (--original says where it is)"
             )
-        figures = evaluate(inputs, options, observer)
-        if picture is not None and figures.scores is not None:
-            observer.stage("picture", figures.scores.scored.original.row_count)
-            draw_picture(figures.scores.scored, picture)
+        figures = evaluate(inputs, options, observer, picture)
     report = EvaluationReport.of(inputs, truth, options, figures, observer)
     if json_file is not None:
         try:

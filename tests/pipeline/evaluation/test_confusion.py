@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy, harmonic_mean
+from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy, Tally, harmonic_mean
 from pipeline.evaluation.labels import Truth
 
 STATIC, DYNAMIC, UNKNOWN = (np.int8(each) for each in (Truth.STATIC, Truth.DYNAMIC, Truth.UNKNOWN))
@@ -27,7 +27,7 @@ def test_ten_points_counted_by_hand():
     # Of 5 static points 2 are removed, of 3 that moved 2 are; 2 are not labelled.
     labels = np.array([0, 0, 0, 0, 0, 1, 1, 1, 2, 2], dtype=np.int8)
     removed = np.array([1, 1, 0, 0, 0, 1, 1, 0, 1, 0], dtype=bool)
-    found = Confusion.of(labels, removed)
+    found = Confusion.of(Tally().add(labels, removed))
     assert (found.true_positives, found.false_positives) == (2, 2)
     assert (found.false_negatives, found.true_negatives) == (1, 3)
     assert found.false_positive_percent == pytest.approx(40)
@@ -41,7 +41,11 @@ def test_ten_points_counted_by_hand():
 
 @given(points)
 def test_the_counts_are_those_of_a_loop(pairs):
-    found = Confusion.of(*columns(pairs))
+    tally = Tally()
+    for part in np.array_split(np.arange(len(pairs)), 3):
+        labels, removed = columns(pairs)
+        tally.add(labels[part], removed[part])
+    found = Confusion.of(tally)
     assert found.true_positives == pairs.count((DYNAMIC, True))
     assert found.false_positives == pairs.count((STATIC, True))
     assert found.false_negatives == pairs.count((DYNAMIC, False))
@@ -53,7 +57,7 @@ def test_the_counts_are_those_of_a_loop(pairs):
 
 
 def test_shares_of_nothing_are_undefined():
-    found = Confusion.of(np.array([0], dtype=np.int8), np.array([False]))
+    found = Confusion.of(Tally().add(np.array([0], dtype=np.int8), np.array([False])))
     assert found.precision is None
     assert found.recall is None
     assert found.f1 is None
@@ -65,7 +69,7 @@ def test_the_benchmark_s_accuracies_counted_by_hand():
     # 3 of 4 static points are matched, 4 of 5 that moved are not.
     labels = np.array([0, 0, 0, 0, 1, 1, 1, 1, 1, 2], dtype=np.int8)
     matched = np.array([1, 1, 1, 0, 1, 0, 0, 0, 0, 1], dtype=bool)
-    found = DynamicMapAccuracy.of(labels, matched, 0.05)
+    found = DynamicMapAccuracy.of(Tally().add(labels, matched), 0.05)
     assert found.static_accuracy == 75
     assert found.dynamic_accuracy == 80
     assert found.associated_accuracy == pytest.approx(sqrt(75 * 80))
@@ -74,7 +78,7 @@ def test_the_benchmark_s_accuracies_counted_by_hand():
 
 @given(points)
 def test_the_benchmark_s_accuracies_are_those_of_a_loop(pairs):
-    found = DynamicMapAccuracy.of(*columns(pairs), 0.05)
+    found = DynamicMapAccuracy.of(Tally().add(*columns(pairs)), 0.05)
     kept = [matched for label, matched in pairs if label == STATIC]
     gone = [not matched for label, matched in pairs if label == DYNAMIC]
     if not kept or not gone:

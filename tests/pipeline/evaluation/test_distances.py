@@ -5,39 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynahull.progress import SilentObserver
-from pipeline.errors import EvaluationError
-from pipeline.evaluation.cloud import Cloud, NearestPoint, look_up
+from pipeline.evaluation.distance_file import DistanceFile
 from pipeline.evaluation.distances import ChamferDistance, DirectedChamfer, DistanceStatistics
-from tiling.formats.collection import MapCollection
+from pipeline.evaluation.order_statistics import order_statistics
 
 
 def all_pairs(first, second):
     return np.sqrt(((first[:, np.newaxis] - second) ** 2).sum(axis=2))
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 60))
-def test_the_nearest_point_is_that_of_all_pairs(seed, count, others):
-    random = np.random.default_rng(seed)
-    # On a coarse grid, so that many distances are equal and many are zero.
-    points, queries = random.integers(0, 4, (count, 3)) * 0.5, random.integers(0, 4, (others, 3))
-    distances, indices = NearestPoint(points).find(queries.astype(float))
-    expected = all_pairs(queries, points)
-    np.testing.assert_allclose(distances, expected.min(axis=1), rtol=1e-15)
-    np.testing.assert_allclose(
-        expected[np.arange(others), indices], expected.min(axis=1), rtol=1e-15
-    )
-
-
-def test_the_greatest_distance_asked_for_counts_itself():
-    nearest = NearestPoint(np.zeros((1, 3)))
-    queries = np.array([[0.25, 0, 0], [0.25 + 1e-15, 0, 0], [0, 0, 0]])
-    np.testing.assert_array_equal(nearest.distances(queries, 0.25), [0.25, np.inf, 0])
-    np.testing.assert_array_equal(nearest.distances(queries, 0.0), [np.inf, np.inf, 0])
-
-
 def test_the_statistics_of_distances_counted_by_hand():
-    found = DistanceStatistics.of(np.array([0.0, 1.0, 2.0, 5.0]))
+    found = DistanceStatistics.of([np.array([0.0, 5.0]), np.array([2.0, 1.0])])
     assert found.count == 4
     assert found.mean_absolute_error == 2
     assert found.variance == pytest.approx((4 + 1 + 0 + 9) / 4)
@@ -50,7 +28,7 @@ def test_the_statistics_of_distances_counted_by_hand():
 @given(st.integers(0, 2**32 - 1), st.integers(1, 200))
 def test_the_statistics_are_the_sums_of_their_definitions(seed, count):
     distances = np.random.default_rng(seed).exponential(size=count)
-    found = DistanceStatistics.of(distances)
+    found = DistanceStatistics.of(np.array_split(distances, 3))
     mean = sum(distances) / count
     assert found.mean_absolute_error == pytest.approx(mean)
     assert found.variance == pytest.approx(sum((d - mean) ** 2 for d in distances) / count)
@@ -79,10 +57,8 @@ def test_chamfer_is_the_means_over_all_pairs(seed, count, others, pieces):
     cleaned, truth = random.normal(size=(count, 3)), random.normal(size=(others, 3))
     pairs = all_pairs(cleaned, truth)
     there, back = (
-        DirectedChamfer.of(
-            NearestPoint(goal).distances(part) for part in np.array_split(start, pieces)
-        )
-        for start, goal in ((cleaned, truth), (truth, cleaned))
+        DirectedChamfer.of(np.array_split(distances, pieces))
+        for distances in (pairs.min(axis=1), pairs.min(axis=0))
     )
     found = ChamferDistance.of(there, back)
     squared = (pairs.min(axis=1) ** 2).mean() + (pairs.min(axis=0) ** 2).mean()
@@ -92,47 +68,39 @@ def test_chamfer_is_the_means_over_all_pairs(seed, count, others, pieces):
     assert found.truth_to_cleaned.unsquared == pytest.approx(pairs.min(axis=0).mean())
 
 
-@pytest.fixture
-def cloud(tmp_path):
-    points = np.arange(30.0).reshape(10, 3)
-    points[[2, 7], 1] = np.nan, 1e151
-    np.save(tmp_path / "a.npy", points[:4])
-    np.save(tmp_path / "b.npy", points[4:])
-    return Cloud(MapCollection([tmp_path / "a.npy", tmp_path / "b.npy"])), points
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.integers(1, 9))
+def test_no_figure_depends_on_order_or_batches(seed, count, pieces):
+    random = np.random.default_rng(seed)
+    distances = random.exponential(size=count) * 10.0 ** random.integers(-9, 9, count)
+    batches = np.array_split(random.permutation(distances), pieces)
+    assert DistanceStatistics.of(batches) == DistanceStatistics.of([distances])
+    assert DirectedChamfer.of(batches) == DirectedChamfer.of([distances])
 
 
-def test_a_cloud_has_the_finite_points_and_their_rows_in_the_whole_map(cloud):
-    whole, points = cloud
-    finite = [0, 1, 3, 4, 5, 6, 8, 9]
-    np.testing.assert_array_equal(whole.points(), points[finite])
-    assert [row for rows, _ in whole.batches() for row in rows] == finite
-    chosen = whole.choose(np.arange(10) % 2 == 1)
-    found, labels = chosen.labelled_points(np.arange(10, dtype=np.int8))
-    np.testing.assert_array_equal(labels, [1, 3, 5, 9])
-    np.testing.assert_array_equal(found, points[[1, 3, 5, 9]])
+@given(
+    st.lists(
+        st.floats(min_value=0, allow_nan=False, allow_infinity=False)
+        | st.sampled_from([0.0, -0.0, 5e-324, 1.0, 1 + 2**-52]),
+        min_size=1,
+        max_size=40,
+    ),
+    st.data(),
+)
+def test_the_number_of_a_rank_is_that_of_a_sort(numbers, data):
+    rank = data.draw(st.integers(0, len(numbers) - 1))
+    batches = np.array_split(np.array(numbers), 3)
+    ordered = sorted(numbers)
+    following = ordered[min(rank + 1, len(numbers) - 1)]
+    assert order_statistics(batches, rank) == (ordered[rank], following)
 
 
-def test_a_cloud_without_points_is_refused_by_name(cloud):
-    with pytest.raises(EvaluationError, match=r"a\.npy and 1 more: expected finite points"):
-        cloud[0].choose(np.zeros(10, dtype=bool)).points()
-
-
-class Counter(SilentObserver):
-    total = done = 0
-
-    def stage(self, name, total):
-        self.total = total
-
-    def advance(self, points):
-        self.done += points
-
-
-def test_looking_up_a_cloud_tells_of_every_row(cloud, monkeypatch):
-    monkeypatch.setattr("pipeline.evaluation.cloud.BATCH", 3)
-    whole, points = cloud
-    counter = Counter()
-    found = list(look_up(whole, NearestPoint(points[:1]), counter, "test"))
-    assert (counter.done, counter.total) == (10, 10)
-    distances = np.concatenate([batch for _, batch, _ in found])
-    np.testing.assert_allclose(distances, all_pairs(whole.points(), points[:1])[:, 0])
-    assert len(found) == 4
+def test_a_file_gives_distances_back_in_batches(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.evaluation.distance_file._AT_A_TIME", 4)
+    file = DistanceFile(tmp_path / "distances")
+    assert list(file) == []
+    file.append(np.arange(5.0))
+    file.append(np.arange(5.0, 11))
+    for _ in range(2):
+        assert [batch.tolist() for batch in file] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
+    assert DistanceFile(tmp_path / "distances").remove() is None
+    assert list(tmp_path.iterdir()) == []

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from pipeline.errors import MissingPackageError
-from pipeline.evaluation.earth_mover import draw_sample, transport_cost
+from pipeline.errors import MissingPackageError, PlanError
+from pipeline.evaluation.earth_mover import check_transport, transport_cost
+from pipeline.evaluation.sample import draw_sample
+from tests.pipeline.evaluation.clouds import cut, source_of
 
 
 @settings(deadline=None, max_examples=30)
@@ -31,25 +33,37 @@ def test_one_heap_onto_two_places():
     assert transport_cost(one, two, "sqeuclidean") == pytest.approx((1 + 9) / 2)
 
 
-def test_a_sample_is_without_replacement_seeded_and_uniform():
+def test_a_sample_is_without_replacement_seeded_and_uniform(tmp_path):
     points = np.arange(300.0).reshape(100, 3)
-    sample = draw_sample(points, 30, seed=4, stream=0)
+    cloud = cut(tmp_path / "cut", 30, map=source_of(tmp_path / "map.npy", points))["map"]
+    sample = draw_sample(cloud, 30, seed=4, stream=0)
     assert len(np.unique(sample, axis=0)) == 30
     assert set(map(tuple, sample)) <= set(map(tuple, points))
-    np.testing.assert_array_equal(sample, draw_sample(points, 30, seed=4, stream=0))
-    assert not np.array_equal(sample, draw_sample(points, 30, seed=5, stream=0))
-    assert not np.array_equal(sample, draw_sample(points, 30, seed=4, stream=1))
+    np.testing.assert_array_equal(sample, draw_sample(cloud, 30, seed=4, stream=0))
+    assert not np.array_equal(sample, draw_sample(cloud, 30, seed=5, stream=0))
+    assert not np.array_equal(sample, draw_sample(cloud, 30, seed=4, stream=1))
     counts = sum(
-        np.isin(np.arange(100), draw_sample(points, 30, seed, 0)[:, 0] / 3) for seed in range(400)
+        np.isin(np.arange(100), draw_sample(cloud, 30, seed, 0)[:, 0] / 3) for seed in range(400)
     )
     # Binomial of 400 draws of 0.3: mean 120, deviation 9.2; five deviations.
     assert counts.min() > 74
     assert counts.max() < 166
 
 
-def test_a_small_map_is_its_own_sample():
+def test_a_small_map_is_its_own_sample(tmp_path):
     points = np.random.default_rng(0).normal(size=(7, 3))
-    np.testing.assert_array_equal(draw_sample(points, 7, 0, 0), points)
+    cloud = cut(tmp_path / "cut", map=source_of(tmp_path / "map.npy", points))["map"]
+    np.testing.assert_array_equal(draw_sample(cloud, 7, 0, 0), points)
+
+
+def test_samples_too_large_for_the_memory_are_refused_before_the_work(monkeypatch):
+    monkeypatch.setattr("pipeline.evaluation.earth_mover.available_memory", lambda: 1 << 30)
+    check_transport(100_000, 5_000, 5_000)
+    with pytest.raises(PlanError, match=r"--emd-points 100000: .* 5,060 and 5,060 .* 1\.0 GiB: c"):
+        check_transport(100_000, 5_060, 5_060)
+    # Two samples of the truth are moved onto each other, too; what the maps lack is not drawn.
+    with pytest.raises(PlanError, match=r"of 10 and 80,000 points would take 250\.3 GiB"):
+        check_transport(80_000, 10, 90_000)
 
 
 def test_without_pot_one_line_says_how_to_get_it(monkeypatch):

@@ -244,7 +244,7 @@ def test_what_does_not_fit_together_is_one_line(scene, monkeypatch):
         figures_of(cleaned, scene / "labelled.laz", cleaned, labels="user_data")
     with pytest.raises(MapFormatError, match="expected a field 'colour'"):
         figures_of(cleaned, scene / "labelled.laz", labels="colour")
-    with pytest.raises(ConfigurationError, match=r"--voxel: .* greater than 0, found -1"):
+    with pytest.raises(ConfigurationError, match=r"--voxel: .* or equal to 0.000001, found -1"):
         figures_of(cleaned, scene / "static.npy", voxel=-1)
     with pytest.raises(ConfigurationError, match=r"--ground-cost: .*'euclidean' or 'sqeuclidean'"):
         figures_of(cleaned, scene / "static.npy", ground_cost="manhattan")
@@ -262,6 +262,30 @@ def test_what_does_not_fit_together_is_one_line(scene, monkeypatch):
         evaluate_files(
             str(cleaned), str(cleaned), None, NO_TRANSPORT, json_file=scene / "no" / "a.json"
         )
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"dynamic": "1"}, "--dynamic: .* a map without labels"),
+        ({"unlabelled": "0"}, "--unlabelled: .* a map without labels"),
+        ({"truth_tolerance": 0.1}, "--truth-tolerance: .* no original map"),
+        ({"cleaned_tolerance": 0.1}, "--cleaned-tolerance: .* no original map"),
+        ({"match_distance": 0.1}, "--match-distance: .* no original map"),
+        ({"voxel": 0.1}, "--voxel: .* no original map"),
+        ({"ground_cost": "sqeuclidean"}, "--ground-cost: .*--emd-points 0"),
+        ({"seed": 1}, "--seed: .*--emd-points 0"),
+    ],
+)
+def test_an_option_without_effect_is_refused(scene, options, reason):
+    with pytest.raises(ConfigurationError, match=reason):
+        figures_of(scene / "cleaned.npy", scene / "static.npy", **options)
+
+
+def test_a_tolerance_of_the_truth_is_refused_beside_labels(scene):
+    labels = {"labels": "user_data", "dynamic": "2", "unlabelled": "0"}
+    with pytest.raises(ConfigurationError, match=r"--truth-tolerance: .* the truth is labels"):
+        figures_of(scene / "cleaned.npy", scene / "labelled.laz", truth_tolerance=0.1, **labels)
 
 
 @pytest.mark.parametrize(("given", "kind"), [("json_file", ".json"), ("picture", ".png")])

@@ -61,7 +61,11 @@ def test_a_table_of_labels(tmp_path):
     with pytest.raises(EvaluationError, match="expected numbers in 'kind'"):
         read_label_table(path, "kind", MOVED, ())
     pq.write_table(pa.table({"moving": [True, False, False]}), path)
-    assert read_label_table(path, None, MOVED, ()).tolist() == [1, 0, 0]
+    labels = read_label_table(path, None, MOVED, ())
+    assert [each.tolist() for each in labels] == [each.tolist() for each in labels] == [[1, 0, 0]]
+    pq.write_table(pa.table({"moving": [True, None, False]}), path)
+    with pytest.raises(EvaluationError, match="expected numbers in 'moving', found missing values"):
+        read_label_table(path, None, MOVED, ())
 
 
 def test_a_table_with_coordinates_is_a_map(tmp_path):
@@ -80,4 +84,4 @@ def test_labels_of_a_map_in_several_files(tmp_path):
         cloud.write(tmp_path / name)
     collection = MapCollection([tmp_path / "a.las", tmp_path / "b.laz"])
     truth = read_labels_of_map(collection, "user_data", (range(2, 3),), (range(0, 1),))
-    assert truth.tolist() == [2, 0, 1, 1, 1]
+    assert [each.tolist() for each in truth] == [[2, 0, 1], [1, 1]]

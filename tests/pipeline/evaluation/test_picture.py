@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from matplotlib import image as images
 
+from dynahull.progress import SilentObserver
 from pipeline.errors import EvaluationError, MissingPackageError, OutputError
-from pipeline.evaluation.cloud import Cloud
 from pipeline.evaluation.picture import (
     COLOURS,
     colour_pixels,
     decision_counts,
     draw_picture,
 )
-from pipeline.evaluation.scoring import ScoredMap
-from tiling.formats.collection import MapCollection
+from tests.pipeline.evaluation.clouds import cut, source_of
 
 GREY, GREEN, BLUE, RED = COLOURS.values()
 WHITE = (1.0, 1.0, 1.0)
@@ -27,10 +26,10 @@ def scored(tmp_path):
     points = np.array(
         [[0.0, 0, 5], [1.2, 0, 5], [2.2, 0, 5], [3.2, 1.9, 5], [90, 0, 5], [np.nan, 0, 5]]
     )
-    np.save(tmp_path / "map.npy", points)
     labels = np.array([0, 1, 0, 1, 2, 2], dtype=np.int8)
     removed = np.array([0, 1, 1, 0, 0, 0], dtype=bool)
-    return ScoredMap(Cloud(MapCollection([tmp_path / "map.npy"])), labels, removed)
+    source = source_of(tmp_path / "map.npy", points, labels, removed)
+    return cut(tmp_path / "cut", 3, map=source)["map"]
 
 
 def test_points_are_counted_in_their_pixels(scored):
@@ -45,10 +44,14 @@ def test_points_are_counted_in_their_pixels(scored):
 
 
 def test_one_place_is_one_pixel(tmp_path):
-    np.save(tmp_path / "map.npy", np.ones((3, 3)))
-    whole = Cloud(MapCollection([tmp_path / "map.npy"]))
-    place = ScoredMap(whole, np.zeros(3, dtype=np.int8), np.zeros(3, dtype=bool))
-    assert decision_counts(place, 10)[0].tolist() == [[[3]], [[0]], [[0]], [[0]]]
+    source = source_of(tmp_path / "map.npy", np.ones((3, 3)), removed=np.zeros(3, dtype=bool))
+    cloud = cut(tmp_path / "cut", map=source)["map"]
+    assert decision_counts(cloud, 10)[0].tolist() == [
+        [[3]],
+        [[0]],
+        [[0]],
+        [[0]],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -73,24 +76,25 @@ def test_the_file_shows_every_colour(tmp_path):
     # A square full of points for each decision, side by side.
     square = np.stack(np.meshgrid(np.arange(60), np.arange(60), [0]), axis=-1).reshape(-1, 3) / 60
     points = np.concatenate([square + [shift, 0, 0] for shift in range(4)])
-    np.save(tmp_path / "map.npy", points)
     labels = np.repeat(np.array([0, 1, 0, 1], dtype=np.int8), len(square))
     removed = np.repeat([False, True, True, False], len(square))
-    whole = Cloud(MapCollection([tmp_path / "map.npy"]))
-    draw_picture(ScoredMap(whole, labels, removed), tmp_path / "map.png")
+    source = source_of(tmp_path / "map.npy", points, labels, removed)
+    cloud = cut(tmp_path / "cut", 5000, map=source)["map"]
+    draw_picture(cloud, tmp_path / "map.png", SilentObserver())
     pixels = images.imread(tmp_path / "map.png")[..., :3].reshape(-1, 3)
     for colour in COLOURS.values():
         # A square of 300 by 300, less the gaps between its points; the legend's patch has 500.
         assert (np.abs(pixels - colour).max(axis=1) < 0.005).sum() > 20_000
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["map.npy", "map.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cut", "map.npy", "map.png"]
 
 
 def test_what_cannot_be_drawn_is_one_line(scored, tmp_path, monkeypatch):
-    nothing = ScoredMap(scored.original, np.full(6, 2, dtype=np.int8), scored.removed)
+    source = source_of(tmp_path / "none.npy", np.ones((6, 3)), np.full(6, 2, dtype=np.int8))
+    nothing = cut(tmp_path / "none", map=source)["map"]
     with pytest.raises(EvaluationError, match="expected labelled points"):
-        draw_picture(nothing, tmp_path / "map.png")
+        draw_picture(nothing, tmp_path / "map.png", SilentObserver())
     with pytest.raises(OutputError, match=r"map\.png: No such file"):
-        draw_picture(scored, tmp_path / "nowhere" / "map.png")
+        draw_picture(scored, tmp_path / "nowhere" / "map.png", SilentObserver())
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'dynahull-pipeline\[plot\]'"):
-        draw_picture(scored, tmp_path / "map.png")
+        draw_picture(scored, tmp_path / "map.png", SilentObserver())

@@ -1,0 +1,82 @@
+"""The nearest points of places anywhere, found in several trees one after the other."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.kernels.closest import NO_RANK
+from dynahull.kernels.compilation import kernels
+from dynahull.kernels.growth import make_growth
+from dynahull.kernels.tree import make_stack, make_tree
+
+_PLACES_AT_A_TIME = 20_000
+
+
+class NearestSearch:
+    """The nearest point of each of some places, of all points that it was offered.
+
+    Parameters
+    ----------
+    places : (m, 3) float64 array
+        Finite, and small enough to square.
+    squared_bound : float
+        Squared distance beyond which no point is looked for.
+    threads : int
+
+    Attributes
+    ----------
+    squared : (m,) float64 array
+        Squared distance of the nearest point so far, (dx dx + dy dy) + dz dz; the bound where there
+        is none.
+    rank : (m,) int64 array
+        The rank of that point, the smallest of equally near ones; `NO_RANK` where there is none.
+    """
+
+    def __init__(
+        self, places: NDArray[np.float64], squared_bound: float = np.inf, threads: int = 1
+    ) -> None:
+        self.places = np.require(places, np.float64, ["C", "W"])
+        self.squared = np.full(len(places), squared_bound)
+        self.rank = np.full(len(places), NO_RANK, np.int64)
+        self._threads = threads
+
+    def offer(
+        self,
+        points: NDArray[np.float64],
+        ranks: NDArray[np.int64],
+        slots: NDArray[np.intp] | None = None,
+    ) -> None:
+        """Let places choose among more points, whose ranks need not differ; all by default."""
+        if slots is None:
+            self._search(points, ranks, self.places, self.squared, self.rank)
+            return
+        squared, rank = self.squared[slots], self.rank[slots]
+        self._search(points, ranks, self.places[slots], squared, rank)
+        self.squared[slots], self.rank[slots] = squared, rank
+
+    def _search(
+        self,
+        points: NDArray[np.float64],
+        ranks: NDArray[np.int64],
+        places: NDArray[np.float64],
+        squared: NDArray[np.float64],
+        rank: NDArray[np.int64],
+    ) -> None:
+        if not len(points) or not len(places):
+            return
+        compiled = kernels()
+        tree = make_tree(points)
+        compiled.grow(tree, np.require(ranks, np.int64, ["C", "W"]), make_growth())
+
+        def find(first: int) -> None:
+            end = min(first + _PLACES_AT_A_TIME, len(places))
+            compiled.find(tree, places, first, end, make_stack(), np.empty(64), squared, rank)
+
+        parts = range(0, len(places), _PLACES_AT_A_TIME)
+        if self._threads == 1 or len(parts) == 1:
+            for part in parts:
+                find(part)
+            return
+        with ThreadPoolExecutor(self._threads) as pool:
+            list(pool.map(find, parts))
