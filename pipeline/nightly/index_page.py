@@ -1,9 +1,11 @@
 """The page to look at in the morning: every map, what became of it, and its report."""
 
+from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
+from pipeline.nightly.results import begun
 from pipeline.nightly.summary import FAILURES, MapLine, MapOutcome, NightSummary
 from tiling.atomic import atomic_file
 
@@ -26,6 +28,14 @@ td.number, th.number {{ text-align: right; font-variant-numeric: tabular-nums; }
 td.map {{ overflow-wrap: anywhere; }}
 .bad {{ color: #c62828; font-weight: 600; }}
 .reason {{ color: #888; overflow-wrap: anywhere; }}
+@media (max-width: 50rem) {{
+  thead {{ display: none; }}
+  tr {{ display: block; padding: .5rem 0; border-bottom: 1px solid #8884; }}
+  td, td.number {{ display: block; text-align: left; padding: 0; border: 0; }}
+  td:empty {{ display: none; }}
+  td.map {{ font-weight: 600; }}
+  td[data-of]::before {{ content: attr(data-of) ": "; color: #888; }}
+}}
 </style>
 </head>
 <body>
@@ -44,6 +54,8 @@ dynahull-pipeline {version}</p>
 </html>
 """
 
+_MINUTE = "%Y-%m-%d %H:%M UTC"
+
 _BAD = (*FAILURES, MapOutcome.SET_ASIDE)
 
 
@@ -58,7 +70,7 @@ def index_page(summary: NightSummary) -> str:
     lines = sorted(summary.maps, key=lambda line: (line.outcome not in _BAD, line.map))
     problems = "".join(f'<p class="bad">{escape(each)}</p>\n' for each in summary.problems)
     return _PAGE.format(
-        night=escape(summary.night),
+        night=f"{datetime.fromisoformat(summary.night):{_MINUTE}}",
         text=escape(summary.to_text()),
         code=summary.exit_code,
         problems=problems,
@@ -74,16 +86,20 @@ def _row(line: MapLine) -> str:
         outcome += f'<div class="reason">{escape(line.reason)}{tries}</div>'
     result = ""
     if line.run and line.report:
-        name = escape(Path(line.run).name.rpartition("-")[0].replace("T", " "))
-        result = f'<a href="{quote(line.report)}">report of {name}</a>'
+        result = f'<a href="{quote(line.report)}">report of {_run_time(line.run)}</a>'
         result += f' · <a href="{quote(line.run)}/">files</a>'
     points = "" if line.points is None else f"{line.points:,}"
     removed = ""
     if line.points and line.removed is not None:
-        removed = f"{line.removed:,} ({100 * line.removed / line.points:.1f} %)"
+        removed = f"{line.removed:,} ({100 * line.removed / line.points:.1f}&nbsp;%)"
     seconds = "" if line.seconds is None else f"{line.seconds:,.0f}"
     return (
         f'<tr><td class="map">{escape(line.map)}</td><td>{outcome}</td><td>{result}</td>'
-        f'<td class="number">{points}</td><td class="number">{removed}</td>'
-        f'<td class="number">{seconds}</td></tr>'
+        f'<td class="number" data-of="points">{points}</td>'
+        f'<td class="number" data-of="removed">{removed}</td>'
+        f'<td class="number" data-of="seconds">{seconds}</td></tr>'
     )
+
+
+def _run_time(run: str) -> str:
+    return f"{datetime.fromtimestamp(begun(Path(run)), UTC):{_MINUTE}}"

@@ -1,7 +1,10 @@
 """The page of the morning: every map is on it, with a link that leads somewhere."""
 
+from datetime import UTC, datetime
 from html.parser import HTMLParser
 from urllib.parse import unquote
+
+import pytest
 
 
 class Page(HTMLParser):
@@ -52,3 +55,23 @@ def test_the_report_is_linked_where_there_is_one(place):
     run = place.results(path).latest()
     page = Page((place.output / "index.html").read_text())
     assert f"{run.parent.name}/{run.name}/report.html" in page.links
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+def test_it_is_read_on_a_telephone_as_well(place, chromium, width):
+    place.write(f"incoming/{'a_very_long_name' * 8}.npy", "one")
+    place.write("incoming/bad.npy", "corrupt")
+    place.night()
+    page = chromium["webgl"].new_page(viewport={"width": width, "height": 800}, offline=True)
+    heard = []
+    page.on("console", lambda message: heard.append(message.text))
+    page.on("pageerror", lambda error: heard.append(str(error)))
+    page.goto((place.output / "index.html").as_uri())
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+    seen = page.inner_text("body")
+    assert "it is corrupt" in seen
+    begun = place.clock.now()
+    assert f"Night of {datetime.fromtimestamp(begun, UTC):%Y-%m-%d %H:%M} UTC" in seen
+    assert f"report of {datetime.fromtimestamp(begun, UTC):%Y-%m-%d %H:%M} UTC" in seen
+    page.close()
+    assert heard == []

@@ -1,6 +1,5 @@
-"""A browser without a window, driven by Playwright, and a map to show in it."""
+"""A map, and its report in a browser."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 
 NASTY_NAME = "a<script>alert(1)<b>&\"'.npy"
-SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 def street() -> np.ndarray:
@@ -47,26 +45,6 @@ def cleaned(tmp_path_factory):
             run([folder / NASTY_NAME], folder / name, configuration, observer).output
         )
     return outputs
-
-
-@pytest.fixture(scope="session")
-def chromium():
-    """The system's Chromium."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    names = ("chromium", "chromium-browser", "google-chrome")
-    path = next(filter(None, map(shutil.which, names)), None)
-    if path is None:
-        pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
-    with playwright.sync_playwright() as driver:
-        # Tests in containers run as root, where Chromium's own sandbox does not start.
-        arguments = ["--no-sandbox", *SOFTWARE_WEBGL]
-        with_webgl = driver.chromium.launch(executable_path=path, args=arguments)
-        without = driver.chromium.launch(
-            executable_path=path, args=["--no-sandbox", "--disable-3d-apis"]
-        )
-        yield {"webgl": with_webgl, "no webgl": without}
-        with_webgl.close()
-        without.close()
 
 
 @pytest.fixture
