@@ -1,4 +1,4 @@
-"""Inputs that cannot be looked into: they are said, and what was in them does not count as gone."""
+"""Maps and folders that may not be read: they are said, and do not count as gone."""
 
 import os
 import shutil
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.nightly.exchange import Ended
-from pipeline.nightly.inventory import find_maps
+from pipeline.nightly.inventory import find_maps, learn_content
 
 NOBODY = 65534
 
@@ -17,16 +17,20 @@ NOBODY = 65534
 def place(place_in, monkeypatch):
     """A place that is looked at without root's right to read everything."""
 
-    def find_maps_as_nobody(*arguments):
-        earlier = os.geteuid()
-        if earlier == 0:
-            os.seteuid(NOBODY)
-        try:
-            return find_maps(*arguments)
-        finally:
-            os.seteuid(earlier)
+    def as_nobody(function):
+        def called(*arguments):
+            earlier = os.geteuid()
+            if earlier == 0:
+                os.seteuid(NOBODY)
+            try:
+                return function(*arguments)
+            finally:
+                os.seteuid(earlier)
 
-    monkeypatch.setattr("pipeline.nightly.night.find_maps", find_maps_as_nobody)
+        return called
+
+    for function in (find_maps, learn_content):
+        monkeypatch.setattr(f"pipeline.nightly.night.{function.__name__}", as_nobody(function))
     # `tmp_path` lies below a folder that nobody else may enter.
     folder = Path(tempfile.mkdtemp())
     folder.chmod(0o755)
@@ -75,3 +79,13 @@ def test_a_folder_within_that_may_not_be_read_is_said_too(place, maps, each, out
     assert [each for each in outcomes_of(summary) if each.startswith("closed")] == []
     assert [each for each in outcomes_of(summary) if each.startswith("open")] != []
     assert len(outcomes_of(place.night(inputs, "attempts=9"))) == 2
+
+
+def test_a_map_that_may_not_be_read_has_failed(place, outcomes_of):
+    path = place.write("incoming/a.npy", "one")
+    path.chmod(0)
+    seen = [place.night() for _ in range(3)]
+    assert [outcomes_of(each)["a.npy"] for each in seen] == ["failed", "failed", "set aside"]
+    assert seen[0].maps[0].reason == f"{path}: Permission denied"
+    path.chmod(0o644)
+    assert outcomes_of(place.night()) == {"a.npy": "cleaned"}

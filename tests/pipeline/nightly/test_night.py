@@ -340,15 +340,6 @@ def test_a_failing_map_is_not_tried_twice_in_a_night_and_goes_last(place):
     assert place.cleaner.asked == ["z.npy", "bad.npy"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_map_that_may_not_be_read_has_failed(place, outcomes_of):
-    path = place.write("incoming/a.npy", "one")
-    path.chmod(0)
-    assert [place.night().exit_code for _ in range(3)] == [4, 4, 0]
-    path.chmod(0o600)
-    assert outcomes_of(place.night()) == {"a.npy": "cleaned"}
-
-
 def test_a_map_whose_bytes_cannot_be_read_is_set_aside_too(place, outcomes_of, monkeypatch):
     path = place.write("incoming/a.npy", "one")
 
