@@ -9,6 +9,7 @@ import pytest
 from pipeline.errors import NightlyError
 from pipeline.nightly.exchange import Ended
 from pipeline.nightly.inventory import last_change
+from pipeline.nightly.journal import Attempt, Journal
 from pipeline.nightly.results import is_finished
 from pipeline.tiles import stages
 
@@ -519,6 +520,22 @@ def test_a_killed_night_goes_on_and_nothing_is_done_twice(place, monkeypatch):
     for name in "ab":
         runs = place.results(place.incoming / f"{name}.npy").runs()
         assert [(run / "static.npy").read_text() for run in runs] == [f"{name} {number}"]
+
+
+def test_what_was_said_before_the_lines_were_put_aside_is_not_said_again(place, monkeypatch):
+    """A night is killed between its line about a result and the journal; its lines are many."""
+    path = place.write("incoming/a.npy", "one")
+    place.night()
+    journal = Journal(place.output / ".nightly")
+    run = place.results(path).latest()
+    journal.maps[str(path)].attempt = Attempt(run=run.name, tasks=0)
+    journal.save()
+    monkeypatch.setattr("pipeline.nightly.summary._LARGEST", 0)
+    place.night()
+    earlier = (place.output / "nightly.jsonl.1").read_text()
+    assert earlier.count('"cleaned"') == 1
+    assert place.lines("cleaned") == []
+    assert len(place.lines("unchanged")) == 1
 
 
 def test_without_its_journal_finished_results_are_found(place, outcomes_of):
