@@ -4,7 +4,8 @@ Blocks of a page are run one after the other in a folder of the page's own, besi
 the pages speak of. A block that cannot be run here (it installs, needs a cluster, or takes hours)
 has a comment before it, `<!-- not run: the reason -->`, and its commands, options and keys are
 checked. One that takes long says what is put in place of what:
-`<!-- run in small: 1000 is 10; step=0.1 is step=1 -->`.
+`<!-- run in small: 1000 is 10; step=0.1 is step=1 -->`. There, `{scheduler}` and
+`{encrypted scheduler}` stand for schedulers that run on this machine.
 """
 
 import ast
@@ -15,10 +16,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
+import distributed
 import laspy
 import numpy as np
 import pytest
@@ -152,6 +155,44 @@ def run_in(folder, arguments):
     )
 
 
+@contextmanager
+def scheduler_of(kind, folder):
+    """Run a scheduler with one worker; the key of an encrypted one is made in the folder."""
+    more = {}
+    if kind == "encrypted scheduler":
+        request = "openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=dask"
+        files = {"-keyout": folder / "me.key", "-out": folder / "me.pem"}
+        words = [word for option in files.items() for word in option]
+        subprocess.run([*request.split(), *words], check=True, capture_output=True)
+        shutil.copy(folder / "me.pem", folder / "ca.pem")
+        places = dict.fromkeys(
+            ("tls_client_cert", "tls_scheduler_cert", "tls_worker_cert"), folder / "me.pem"
+        ) | dict.fromkeys(
+            ("tls_client_key", "tls_scheduler_key", "tls_worker_key"), folder / "me.key"
+        )
+        texts = {name: str(path) for name, path in places.items()}
+        ca_file = str(folder / "ca.pem")
+        security = distributed.Security(tls_ca_file=ca_file, require_encryption=True, **texts)
+        more = {"protocol": "tls://", "security": security}
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+        **more,
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def with_schedulers(lines, folder, stack):
+    """Put the addresses of schedulers that run into commands."""
+    for kind in sorted({kind for line in lines for kind in re.findall(r"\{(.*scheduler)\}", line)}):
+        address = stack.enter_context(scheduler_of(kind, folder))
+        lines = [line.replace(f"{{{kind}}}", address) for line in lines]
+    return lines
+
+
 def is_run(block):
     return block.reason is None and (block in SHELL or block.kind == "python")
 
@@ -174,17 +215,23 @@ def test_a_page_does_what_it_says(page, example_maps, tmp_path, monkeypatch):
             ended = run_in(folder, [sys.executable, "-c", start + block.text])
             assert ended.returncode == 0, f"{block}:\n{ended.stdout}"
             continue
-        for line in block.commands_run:
-            monkeypatch.chdir(folder)
-            for command in line.split("&&"):
-                words = shlex.split(command, comments=True)
-                if words[0] == PROGRAM and not set("|<>$") & set(command):
-                    # In this process: most of a small run is the start of Python.
-                    ended = typer.testing.CliRunner().invoke(app, words[1:])
-                    assert ended.exit_code == 0, f"{block}: {line}\n{ended.output}{ended.exception}"
-                else:
-                    ended = run_in(folder, ["bash", "-euo", "pipefail", "-c", command])
-                    assert ended.returncode == 0, f"{block}: {line}\n{ended.stdout}"
+        with ExitStack() as stack:
+            for line in with_schedulers(block.commands_run, folder, stack):
+                monkeypatch.chdir(folder)
+                for command in line.split("&&"):
+                    check_run(block, command, folder)
+
+
+def check_run(block, command, folder):
+    """Run one command of a block: it comes to its end."""
+    words = shlex.split(command, comments=True)
+    if words[0] == PROGRAM and not set("|<>$") & set(command):
+        # In this process: most of a small run is the start of Python.
+        ended = typer.testing.CliRunner().invoke(app, words[1:])
+        assert ended.exit_code == 0, f"{block}: {command}\n{ended.output}{ended.exception}"
+    else:
+        ended = run_in(folder, ["bash", "-euo", "pipefail", "-c", command])
+        assert ended.returncode == 0, f"{block}: {command}\n{ended.stdout}"
 
 
 @pytest.mark.parametrize("block", [block for block in SHELL if block.reason], ids=str)

@@ -9,7 +9,7 @@ from subprocess import run as run_command
 
 import numpy as np
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Security
 
 from pipeline import cli
 from pipeline.cluster import record
@@ -468,6 +468,10 @@ class TestTLS:
             given = scheduler_security(self.parameters(files), address)
             with Client(address, security=given, set_as_default=False) as client:
                 assert client.submit(os.getpid).result(timeout=20) == os.getpid()
+            # A certificate of another authority does not do.
+            stranger = Security.temporary()
+            with pytest.raises(OSError, match=r"certificate|SSL|ssl|connect"):
+                Client(address, security=stranger, set_as_default=False, timeout=2)
             with pytest.raises(ConfigurationError, match=r"expected cluster\.tls\.ca_file"):
                 scheduler_security(configured("slurm").cluster.tls, address)
 
