@@ -76,7 +76,8 @@ class Comparison:
             yield result
 
     def _key(self, method: Method, digest: str) -> str:
-        settings = (digest, method.name, method.parameters, self._limits, self._options)
+        of_method = method.name, method.parameters, method.version()
+        settings = (digest, *of_method, self._limits, self._options)
         return blake2b(repr((*settings, self._cores)).encode(), digest_size=16).hexdigest()
 
     def _result(self, method: Method, scene: Scene, path: Path, key: str) -> Result:

@@ -3,13 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.compare.scene import Scene
 
-__all__ = ["Family", "Method", "Removal", "Unavailable"]
+__all__ = ["Family", "Method", "Removal", "Unavailable", "versions_of"]
 
 Removal = Callable[[Scene], NDArray[np.bool_]]
 """Tells of each point of a scene whether to remove it."""
@@ -41,9 +42,28 @@ class Method:
         the method itself is timed. Raises `Unavailable` where something is missing.
     parameters : str
         Those that the name does not tell.
+    version : callable
+        Tells the versions of what does the work; another one may give other figures.
     """
 
     name: str
     family: Family
     load: Callable[[], Removal]
     parameters: str = ""
+    version: Callable[[], str] = str
+
+
+def versions_of(*packages: str) -> Callable[[], str]:
+    """Return what tells the versions of those of some packages that are installed."""
+
+    def tell() -> str:
+        return ", ".join(f"{name} {found}" for name in packages if (found := _installed(name)))
+
+    return tell
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

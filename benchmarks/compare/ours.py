@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.compare.method import Family, Method, Removal
+from benchmarks.compare.method import Family, Method, Removal, versions_of
 from benchmarks.compare.scene import Scene
 from dynahull import MethodParameters, clean
 from pipeline.configuration import load_configuration, ready_configurations
@@ -19,6 +19,7 @@ from pipeline.configuration import load_configuration, ready_configurations
 __all__ = ["methods"]
 
 _PAPER = "paper"
+_VERSION = versions_of("dynahull-pipeline", "scikit-learn")
 _ONE_CLUSTER = ["clustering.count=1", "removal.min_percent=12.5", "removal.max_percent=12.5"]
 _WITHOUT_STEPS = {
     "no ground step": ["ground.method=none"],
@@ -50,4 +51,4 @@ def _method(name: str, parameters: MethodParameters) -> Method:
 
         return remove
 
-    return Method(name, Family.OURS, load, repr(parameters))
+    return Method(name, Family.OURS, load, repr(parameters), _VERSION)

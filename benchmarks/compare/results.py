@@ -103,16 +103,19 @@ class Row:
     ----------
     method, family : str
     scenes : int
-        On which it was run.
+        It was to be run on.
+    missing : int
+        Of them, those on which it was skipped: the figures are over the others.
     skipped : str or None
-        Why there are no figures: it was skipped on one of the scenes.
+        Why, on the first of those.
     figures : dict of str to Spread or None
-        By column; None where undefined for a scene.
+        By column; None where undefined for a scene. Empty where it was skipped on all.
     """
 
     method: str
     family: str
     scenes: int
+    missing: int
     skipped: str | None
     figures: dict[str, Spread | None]
 
@@ -120,11 +123,13 @@ class Row:
 def row_of(results: Sequence[Result]) -> Row:
     """Put together the results of a method."""
     first = results[0]
-    skipped = next((each.skipped for each in results if each.skipped), None)
+    reasons = [each.skipped for each in results if each.skipped is not None]
+    measured = [each for each in results if each.skipped is None]
     figures: dict[str, Spread | None] = {}
-    for column in first.figures if skipped is None else ():
-        values = [each.figures[column] for each in results]
+    for column in measured[0].figures if measured else ():
+        values = [each.figures[column] for each in measured]
         defined = [value for value in values if value is not None]
         complete = len(defined) == len(values)
         figures[column] = Spread(fmean(defined), min(defined), max(defined)) if complete else None
-    return Row(first.method, first.family, len(results), skipped, figures)
+    skipped = reasons[0] if reasons else None
+    return Row(first.method, first.family, len(results), len(reasons), skipped, figures)

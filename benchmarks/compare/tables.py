@@ -65,14 +65,18 @@ def _group(group: str, results: Sequence[Result]) -> Iterator[str]:
         yield "| method | needs | scenes | " + " | ".join(columns) + " |"
         yield "|---|---|---|" + "---|" * len(columns)
         for row in rows:
-            if row.skipped is None:
+            if row.figures:
                 cells = [_cell(row.figures[name], digits) for name, digits in columns.items()]
-                yield f"| {row.method} | {row.family} | {row.scenes} | " + " | ".join(cells) + " |"
+                found = f"{row.scenes - row.missing} of " if row.missing else ""
+                begin = f"| {row.method} | {row.family} | {found}{row.scenes} | "
+                yield begin + " | ".join(cells) + " |"
         yield ""
     skipped = [row for row in rows if row.skipped is not None]
     if skipped:
         yield "Skipped:\n"
-        yield from (f"- {row.method}: {row.skipped}" for row in skipped)
+        for row in skipped:
+            where = f" on {row.missing} of {row.scenes} scenes" if row.figures else ""
+            yield f"- {row.method}{where}: {row.skipped}"
 
 
 def _cell(value: Spread | None, digits: int) -> str:

@@ -2,7 +2,7 @@
 
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from pipeline.simulation.scene import SceneKind
 
@@ -88,6 +88,15 @@ class SimulationParameters(BaseModel):
     glass: bool = Field(
         True, description="Whether panes let rays pass; otherwise they are solid walls."
     )
+
+    @field_validator("azimuth_step")
+    @classmethod
+    def _has_an_effect(cls, step: float, info: ValidationInfo) -> float:
+        """Refuse a step where `points` chooses it, but for the default that a file may hold."""
+        points = info.data.get("points")
+        if points is not None and step != cls.model_fields["azimuth_step"].default:
+            raise ValueError(f"it has no effect with points={points}, which chooses it to fit")
+        return step
 
     @property
     def scan_interval(self) -> float:

@@ -140,7 +140,7 @@ def test_a_method_that_fails_or_takes_too_long_is_skipped_with_the_reason(crossi
     assert slow.skipped == "more than 0.01 s" and slow.exhausted
 
 
-def test_a_row_is_over_all_its_scenes_or_skipped():
+def test_a_row_is_over_all_its_scenes_that_were_not_skipped():
     from benchmarks.compare.results import Result, row_of  # noqa: PLC0415
 
     def result(scene, value, skipped=None):
@@ -150,7 +150,10 @@ def test_a_row_is_over_all_its_scenes_or_skipped():
     row = row_of([result("a", 90.0), result("b", 80.0)])
     assert row.figures == {"SA": (85.0, 80.0, 90.0), "DA": None, "MAE": (1.0, 1.0, 1.0)}
     assert row.scenes == 2
-    assert row_of([result("a", 90.0), result("b", 1.0, "too slow")]).skipped == "too slow"
+    row = row_of([result("a", 90.0), Result("m", "ours", "b", "g", 10, "too slow", True, {})])
+    assert row.figures == {"SA": (90.0, 90.0, 90.0), "DA": None, "MAE": (1.0, 1.0, 1.0)}
+    assert (row.scenes, row.missing, row.skipped) == (2, 1, "too slow")
+    assert row_of([result("b", 1.0, "too slow")]).figures == {}
 
 
 def test_tables_tell_means_and_ranges():
@@ -165,6 +168,12 @@ def test_tables_tell_means_and_ranges():
     lines = tables(results).splitlines()
     assert "20 points: a; b." in lines
     assert "| m | ours | 2 | 85.0 (80.0 to 90.0) | - | 1.0 | 1.0 | 1.0 | 1.0 | 1.0 |" in lines
+    failed = Result("m", "ours", "c", "g", 10, "too slow", True, {})
+    never = Result("n", "ours", "c", "g", 10, "not installed", False, {})
+    lines = tables([*results, failed, never]).splitlines()
+    assert "| m | ours | 2 of 3 | 85.0 (80.0 to 90.0) | - | 1.0 | 1.0 | 1.0 | 1.0 | 1.0 |" in lines
+    assert "- m on 1 of 3 scenes: too slow" in lines
+    assert "- n: not installed" in lines
 
 
 def test_what_is_always_there_is_static_and_what_passes_is_not():
@@ -229,7 +238,20 @@ def test_what_is_finished_is_reused_and_what_is_not_is_done(crossing, tmp_path, 
     assert names_done(scene=moved) == list(outcomes)
     changed = [replace(method, parameters="k=50") for method in methods]
     assert names_done(methods=changed) == list(outcomes)
-    assert len(json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))) == 12
+    newer = [replace(method, version=lambda: "peer 2.0") for method in methods]
+    assert names_done(methods=newer) == list(outcomes)
+    assert len(json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))) == 15
+
+
+def test_versions_are_those_of_what_is_installed():
+    from importlib.metadata import version  # noqa: PLC0415
+
+    from benchmarks.compare.method import versions_of  # noqa: PLC0415
+    from benchmarks.compare.registry import all_methods  # noqa: PLC0415
+
+    assert versions_of("numpy", "no-such-package")() == f"numpy {version('numpy')}"
+    told = {method.name: method.version() for method in all_methods()}
+    assert "scikit-learn" in next(each for name, each in told.items() if name.startswith("DBSCAN"))
 
 
 def test_a_file_that_is_no_record_is_refused(tmp_path):

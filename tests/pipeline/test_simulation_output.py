@@ -182,6 +182,17 @@ def test_failure_leaves_no_folder_behind(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_step_that_the_points_choose_is_refused(tmp_path):
+    arguments = ["--points", "300", "--set", "azimuth_step=0.2"]
+    found = CliRunner().invoke(app, ["simulate", "-o", str(tmp_path / "new"), *arguments])
+    assert isinstance(found.exception, ConfigurationError)
+    assert "azimuth_step: it has no effect with points=300" in str(found.exception)
+    assert not list(tmp_path.iterdir())
+    # Of the file that a simulation leaves, and without points, it is what it is.
+    assert SimulationParameters(points=300, azimuth_step=20.0).points == 300
+    assert SimulationParameters(azimuth_step=0.2).columns == 1800
+
+
 def test_folder_that_cannot_be_made_is_one_clear_line(tmp_path):
     (tmp_path / "taken").write_text("a file")
     with pytest.raises(OutputError, match=r"taken/sub: expected a folder to write in, found Not a"):

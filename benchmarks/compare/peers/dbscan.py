@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.compare.method import Family, Method, Removal
+from benchmarks.compare.method import Family, Method, Removal, versions_of
 from benchmarks.compare.scene import Scene
 
 __all__ = ["METHODS"]
@@ -29,4 +29,11 @@ def _load() -> Removal:
     return remove
 
 
-METHODS = (Method(f"DBSCAN ({EPS} m, {MIN_SAMPLES}; under {SMALLEST})", Family.MAP, _load),)
+METHODS = (
+    Method(
+        f"DBSCAN ({EPS} m, {MIN_SAMPLES}; under {SMALLEST})",
+        Family.MAP,
+        _load,
+        version=versions_of("scikit-learn"),
+    ),
+)

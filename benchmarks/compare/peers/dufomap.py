@@ -9,7 +9,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.compare.method import Family, Method, Removal, Unavailable
+from benchmarks.compare.method import Family, Method, Removal, Unavailable, versions_of
 from benchmarks.compare.scene import Scan, Scene
 
 __all__ = ["METHODS"]
@@ -55,4 +55,6 @@ def _pose(scan: Scan) -> NDArray[np.float64]:
     return np.vstack([scan.pose, [0, 0, 0, 1]])
 
 
-METHODS = (Method("DUFOMap (0.1 m, 0.2 m, 2)", Family.SCANS, _load),)
+METHODS = (
+    Method("DUFOMap (0.1 m, 0.2 m, 2)", Family.SCANS, _load, version=versions_of("dufomap")),
+)

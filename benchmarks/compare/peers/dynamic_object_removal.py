@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.compare.method import Family, Method, Removal, Unavailable
+from benchmarks.compare.method import Family, Method, Removal, Unavailable, versions_of
 from benchmarks.compare.scene import Scene
 
 __all__ = ["METHODS"]
@@ -69,7 +69,7 @@ def _method(name: str, call: _Call) -> Method:
 
         return remove
 
-    return Method(name, Family.SCANS, load)
+    return Method(name, Family.SCANS, load, version=versions_of("dynamic-object-removal"))
 
 
 METHODS = (

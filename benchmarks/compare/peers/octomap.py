@@ -7,7 +7,7 @@ filter, as in the DynamicMap benchmark, keeps stray returns from occupying any.
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.compare.method import Family, Method, Removal, Unavailable
+from benchmarks.compare.method import Family, Method, Removal, Unavailable, versions_of
 from benchmarks.compare.peers.open3d_outliers import open3d_library, statistical_outliers
 from benchmarks.compare.scene import Scene
 
@@ -47,4 +47,6 @@ def _load() -> Removal:
     return remove
 
 
-METHODS = (Method(f"OctoMap ({VOXEL} m) with SOR", Family.SCANS, _load),)
+_VERSION = versions_of("pyoctomap", "open3d", "open3d-cpu")
+
+METHODS = (Method(f"OctoMap ({VOXEL} m) with SOR", Family.SCANS, _load, version=_VERSION),)

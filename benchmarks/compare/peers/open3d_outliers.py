@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.compare.method import Family, Method, Removal, Unavailable
+from benchmarks.compare.method import Family, Method, Removal, Unavailable, versions_of
 from benchmarks.compare.scene import Scene
 
 __all__ = ["METHODS", "open3d_library", "statistical_outliers"]
@@ -62,7 +62,19 @@ def _others(kept: Any, count: int) -> NDArray[np.bool_]:
     return removed
 
 
+_VERSION = versions_of("open3d", "open3d-cpu")
+
 METHODS = (
-    Method(f"Open3D statistical outliers ({NEIGHBOURS}, {SPREAD})", Family.MAP, _load_statistical),
-    Method(f"Open3D radius outliers ({POINTS} in {RADIUS} m)", Family.MAP, _load_radius),
+    Method(
+        f"Open3D statistical outliers ({NEIGHBOURS}, {SPREAD})",
+        Family.MAP,
+        _load_statistical,
+        version=_VERSION,
+    ),
+    Method(
+        f"Open3D radius outliers ({POINTS} in {RADIUS} m)",
+        Family.MAP,
+        _load_radius,
+        version=_VERSION,
+    ),
 )

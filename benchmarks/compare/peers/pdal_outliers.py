@@ -41,6 +41,15 @@ def _load() -> Removal:
     return remove
 
 
+def _version() -> str:
+    program = shutil.which("pdal")
+    if program is None:
+        return ""
+    return subprocess.run(
+        [program, "--version"], check=False, capture_output=True, text=True
+    ).stdout
+
+
 def _write(xyz: NDArray[np.float64], path: Path) -> None:
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = [_GRID] * 3, np.floor(xyz.min(axis=0))
@@ -49,4 +58,6 @@ def _write(xyz: NDArray[np.float64], path: Path) -> None:
     points.write(path)
 
 
-METHODS = (Method("PDAL filters.outlier (statistical, 8, 2.0)", Family.MAP, _load),)
+METHODS = (
+    Method("PDAL filters.outlier (statistical, 8, 2.0)", Family.MAP, _load, version=_version),
+)
