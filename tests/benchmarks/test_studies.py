@@ -45,3 +45,26 @@ def test_other_bounds_keep_what_a_run_with_them_keeps():
     for low, high in ((0.0, 30.0), (10.0, 10.0)):
         bounds = {"removal": {"min_percent": low, "max_percent": high}}
         assert (_kept(cleaned, low, high) == clean(points, bounds).kept).all()
+
+
+def test_all_studies_print_their_tables_and_draw_their_plots(tmp_path, monkeypatch, capsys):
+    from benchmarks.studies import __main__ as studies  # noqa: PLC0415
+
+    monkeypatch.setattr(studies, "NEIGHBOURS", (10, 20))
+    monkeypatch.setattr(studies, "CLUSTERS", (1, 2))
+    monkeypatch.setattr(studies, "RANGES", ((0.0, 10.0), (5.0, 20.0)))
+    picture = tmp_path / "studies.svg"
+    small = ["--seeds", "0", "1", "--set", "scans=60", "rotations_per_scan=10"]
+    studies.main([*small, "--picture", str(picture)])
+    lines = capsys.readouterr().out.splitlines()
+    tables = [lines.index(line) for line in lines if line.startswith("|---")]
+    # Heading, and a row for each choice.
+    assert [line.split("|")[1].strip() for line in lines if line.startswith("| ")] == [
+        "clusters", "1", "2", "smallest, %", "0", "5", "k", "10", "20",
+    ]  # fmt: skip
+    assert len(tables) == 3
+    removed = [float(lines[tables[0] + row].split("|")[4]) for row in (1, 2)]
+    assert 0 < removed[0] <= 5, "one cluster: the least share, of what is not ground"
+    assert "</svg>" in picture.read_text(encoding="utf-8")
+    studies.main([*small, "--picture", str(tmp_path / "again.png")])
+    assert (tmp_path / "again.png").read_bytes().startswith(b"\x89PNG")
