@@ -20,6 +20,7 @@ class Family(Enum):
     """What a method needs."""
 
     OURS = "ours"
+    BASELINE = "a baseline"
     MAP = "map only"
     SCANS = "scans and poses"
 

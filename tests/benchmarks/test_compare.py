@@ -90,8 +90,8 @@ def test_a_scene_comes_back_from_its_file_and_in_the_sensors_frame(crossing, tmp
         assert there == pytest.approx(scan.points, abs=1e-12)
 
 
-def comparison_of(removal, crossing, folder, monkeypatch):
-    """A comparison of one method that needs scans, run here and not in another process."""
+def comparison_of(removal, crossing, folder, monkeypatch, family="SCANS"):
+    """A comparison of one method, run here and not in another process."""
     from benchmarks.compare import comparison as module  # noqa: PLC0415
     from benchmarks.compare.isolated import Limits, Outcome  # noqa: PLC0415
     from benchmarks.compare.measure import evaluation_options  # noqa: PLC0415
@@ -102,7 +102,7 @@ def comparison_of(removal, crossing, folder, monkeypatch):
         return Outcome(None, False, method.load()(Scene.read(scene)), 1.0)
 
     monkeypatch.setattr(module, "run_isolated", run)
-    method = Method("peer", Family.SCANS, lambda: removal)
+    method = Method("peer", Family[family], lambda: removal)
     options = evaluation_options(0)
     return module.Comparison([method], Limits(60, 4), options, folder, crossing=crossing)
 
@@ -115,6 +115,41 @@ def test_a_peer_that_finds_nothing_where_it_must_is_not_compared(crossing, tmp_p
     (result,) = comparison.on(crossing)
     assert "finds 0% of a thing that crosses" in result.skipped
     assert not result.figures
+
+
+def test_a_peer_with_the_map_only_must_find_points_that_are_alone(crossing, tmp_path, monkeypatch):
+    def takes_the_first(scene):
+        return np.arange(len(scene)) < 10
+
+    comparison = comparison_of(takes_the_first, crossing, tmp_path, monkeypatch, "MAP")
+    (result,) = comparison.on(crossing)
+    assert "finds 0% of single points above a dense floor" in result.skipped
+
+
+def test_among_strays_all_but_the_floor_is_alone():
+    from scipy.spatial import KDTree  # noqa: PLC0415
+
+    from benchmarks.compare.data.strays import strays_scene  # noqa: PLC0415
+    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+
+    scene = strays_scene()
+    strays = scene.labels == Truth.DYNAMIC
+    distances, _ = KDTree(scene.xyz).query(scene.xyz, k=17)
+    assert distances[strays, 1].min() > 0.9
+    assert distances[~strays, 16].max() < 0.2
+    assert 50 < strays.sum() < 0.01 * len(scene)
+
+
+def test_dbscan_works_where_it_must(crossing, tmp_path, monkeypatch):
+    from benchmarks.compare.peers import dbscan  # noqa: PLC0415
+
+    (method,) = dbscan.METHODS
+    comparison = comparison_of(method.load(), crossing, tmp_path, monkeypatch, "MAP")
+    from benchmarks.compare.data.strays import strays_scene  # noqa: PLC0415
+
+    (result,) = comparison.on(strays_scene())
+    assert result.skipped is None
+    assert result.figures["recall"] == 100
 
 
 def test_a_peer_that_works_gets_the_figures_it_earns(crossing, tmp_path, monkeypatch):
@@ -221,7 +256,7 @@ def test_what_is_finished_is_reused_and_what_is_not_is_done(crossing, tmp_path, 
         return outcomes[method.name]
 
     monkeypatch.setattr(module, "run_isolated", run)
-    methods = [Method(name, Family.MAP, lambda: None) for name in outcomes]
+    methods = [Method(name, Family.OURS, lambda: None) for name in outcomes]
 
     def names_done(scene=crossing, seconds=1.0, methods=methods):
         done.clear()

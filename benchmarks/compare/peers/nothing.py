@@ -13,4 +13,4 @@ def _remove(scene: Scene) -> NDArray[np.bool_]:
     return np.zeros(len(scene), dtype=np.bool_)
 
 
-METHODS = (Method("nothing removed", Family.MAP, lambda: _remove),)
+METHODS = (Method("nothing removed", Family.BASELINE, lambda: _remove),)
