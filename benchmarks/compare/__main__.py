@@ -8,8 +8,8 @@
 
 Every method runs in a process of its own, on as many cores as `--cores` says. What needs scans and
 poses must first find a thing that crosses an empty hall in full view (the scene `crossing`), what
-has the map only must find single points above a dense floor. What does not is skipped, as is what is
-not installed, and the tables say so.
+has the map only must find single points above a dense floor. What does not is skipped, as is what
+is not installed, and the tables say so.
 """
 
 import argparse
