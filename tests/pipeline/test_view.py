@@ -1,8 +1,11 @@
 """What is shown of a result: recordings that Rerun itself reads; a window needs a screen."""
 
 import re
+import shutil
 import subprocess
 import sys
+from ctypes.util import find_library
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +18,7 @@ from pipeline.errors import MissingViewerError, OutputError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.result import read_result
 from pipeline.run import run
-from pipeline.view import density_colours, view_result
+from pipeline.view import LABEL_COLOURS, density_colours, view_result
 
 POINTS = np.random.default_rng(0).normal(size=(500, 3)) + 1e6
 POINTS[3] = np.nan
@@ -203,3 +206,42 @@ def test_a_recording_goes_into_a_folder_that_is_there(tmp_path, monkeypatch):
     monkeypatch.setattr(view, "_import_rerun", fake_rerun)
     with pytest.raises(OutputError, match=r"map\.rrd: expected a folder to write into"):
         view_result(folder, tmp_path / "none" / "map.rrd")
+
+
+def drawing_program():
+    """Return what opens a window on a machine that has neither a screen nor a GPU."""
+    program = shutil.which("xvfb-run")
+    if program is None:
+        pytest.skip("the program xvfb-run is absent")
+    if not list(Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")):
+        pytest.skip("no Vulkan that draws without a GPU (mesa-vulkan-drivers)")
+    for library in ("X11", "Xcursor", "Xi", "xkbcommon-x11"):
+        if find_library(library) is None:
+            pytest.skip(f"the library {library} of the viewer's window is absent")
+    return [program, "-a", "-s", "-screen 0 1000x700x24"]
+
+
+def test_the_window_shows_both_views(tmp_path):
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+    program = drawing_program()
+    from PIL import Image  # noqa: PLC0415 (comes with matplotlib)
+
+    recording, picture = tmp_path / "out.rrd", tmp_path / "window.png"
+    view_result(result(tmp_path, "output.labels=true"), recording)
+    ended = subprocess.run(
+        [*program, sys.executable, "-m", "rerun", recording,
+         "--screenshot-to", picture, "--window-size", "900x600"],
+        capture_output=True, text=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    shown = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    left, right = np.array_split(shown[100:, 300:], 2, axis=1)
+
+    def drawn(part, colour):
+        return np.count_nonzero(np.abs(part - colour).max(axis=2) < 60)
+
+    for label in (Label.STATIC, Label.DYNAMIC):
+        assert drawn(left, LABEL_COLOURS[label][:3]) > 100
+    darkest, brightest = density_colours(np.array([1.0, 2.0]))
+    assert drawn(right, darkest) > 100
+    assert drawn(right, brightest) > 20
