@@ -1,6 +1,7 @@
 """The task that scores one tile."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters
 from pipeline.borders import core_densities
@@ -29,22 +30,20 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     after the other. The report counts the points finished from further tiles, then those of each
     cluster.
     """
-    own_xyz, own_rows = job.work.load("ground", tile, *OWN_NAMES)
-    around_xyz, around_rows = job.work.load("ground", tile, *AROUND_NAMES)
-    xyz, rows = np.concatenate([own_xyz, around_xyz]), np.concatenate([own_rows, around_rows])
-    core = np.arange(len(rows)) < len(own_rows)
+    free, core = _points_of_region(job, tile)
+    xyz = free.xyz
     clusters = clusters_of(job, tile)
     region = region_of(job, tile)
     # Around a part lies the rest of the tile, as other tiles lie around the tile.
     others = TilesAround(job, tile if sides == 1 else None)
-    cluster, density = np.zeros(len(rows), np.int32), np.full(len(rows), np.nan)
+    cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
     finished_elsewhere = 0
     for box in divided(region, xyz, sides):
         around = widened(box, _NEIGHBOURS_WITHIN, region)
         known = np.flatnonzero(around.holds(xyz))
         own = core[known] & box.holds(xyz[known])
         scores = core_densities(
-            FreePoints(xyz[known], rows[known]),
+            free if len(known) == len(free) else free.select(known),
             own,
             around,
             others,
@@ -53,11 +52,22 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         )
         cluster[known[own]], density[known[own]] = scores.cluster, scores.density
         finished_elsewhere += scores.finished_elsewhere
-    scored = ScoredPoints(cluster[core], density[core], rows[core])
+    scored = ScoredPoints(cluster[core], density[core], free.rows[core])
     save_scores(job, tile, scored, clusters.centroids)
     counts = np.bincount(scored.cluster, minlength=len(clusters.centroids))
     points = int(job.store.layout.counts[tile])
     return TaskReport(points, (finished_elsewhere, *counts.tolist()))
+
+
+def _points_of_region(job: Job, tile: int) -> tuple[FreePoints, NDArray[np.bool_]]:
+    """Return the ground-free points that a tile knows, and which of them are its own."""
+    # Read one after the other, so that no more than the coordinates are there twice.
+    xyz = [job.work.load("ground", tile, names[0])[0] for names in (OWN_NAMES, AROUND_NAMES)]
+    joined_xyz, own_count = np.concatenate(xyz), len(xyz[0])
+    del xyz
+    rows = [job.work.load("ground", tile, names[1])[0] for names in (OWN_NAMES, AROUND_NAMES)]
+    points = FreePoints(joined_xyz, np.concatenate(rows))
+    return points, np.arange(len(points)) < own_count
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:
