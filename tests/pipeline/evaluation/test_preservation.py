@@ -7,7 +7,7 @@ from tempfile import mkdtemp
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dynahull.progress import SilentObserver
@@ -80,7 +80,9 @@ def one_a_voxel(points, truth, voxel):
     cells = defaultdict(list)
     for point in sorted(map(tuple, points)):
         cells[tuple(floor(value / voxel) for value in point)].append(point)
-    means = [sum(np.array(cell)) / len(cell) for cell in cells.values()]
+    # Rounded as NumPy sums: a last bit decides between points that are nearly as near.
+    sums = [np.add.reduceat(np.array(cell), [0], axis=0)[0] for cell in cells.values()]
+    means = [total / len(cell) for total, cell in zip(sums, cells.values(), strict=True)]
     return means, [nearest_label(mean, points, truth)[1] for mean in means]
 
 
@@ -92,6 +94,7 @@ def nearest_label(place, points, truth):
 
 
 @anew
+@example(386, 50, 1, 3)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 60), st.integers(3, 200))
 def test_rates_are_those_of_all_pairs_in_any_order_and_tiles(tmp_path, seed, count, others, most):
     random = np.random.default_rng(seed)
