@@ -70,7 +70,7 @@ def read_map(collection: MapCollection, most_kept: int, observer: StageObserver)
     classes = np.zeros(count, np.uint8) if collection.has_classification else None
     kept: list[tuple[int, PointBatch]] = []
     # Where the bytes of a file are its records, they are as soon read again.
-    left = 0 if all(reader.writes_parts for reader in collection.readers) else most_kept
+    left = 0 if collection.writes_parts else most_kept
     for file, batch in collection.batches(BATCH):
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         points[rows] = batch.xyz

@@ -206,8 +206,7 @@ def _look_at(collection: MapCollection, observer: StageObserver) -> Survey:
     seekable = all(reader.seekable for reader in collection.readers)
     ranges = [range(total)]
     if seekable and total > 2 * _LOOKED_AT:
-        records = all(reader.writes_parts for reader in collection.readers)
-        looks = _LOOKS if records else _LOOKS_INTO_CHUNKS
+        looks = _LOOKS if collection.writes_parts else _LOOKS_INTO_CHUNKS
         starts = [total * look // looks for look in range(looks)]
         ranges = [range(start, start + _LOOKED_AT // looks) for start in starts]
     observer.stage("looking", sum(len(rows) for rows in ranges))

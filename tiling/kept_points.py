@@ -31,7 +31,7 @@ _LARGEST_BATCH = 1 << 27
 
 def bytes_kept(collection: MapCollection) -> int:
     """Return the bytes that a map's points take until its outputs are written."""
-    if all(reader.writes_parts for reader in collection.readers):
+    if collection.writes_parts:
         return 0
     kept = KeptPoints(Path(), collection)
     return kept.size if kept.has_records else 0

@@ -85,7 +85,7 @@ class Job:
     @cached_property
     def decoded(self) -> KeptPoints | None:
         """The map's points as the survey decoded them, where it takes long to read them."""
-        if all(reader.writes_parts for reader in self.collection.readers):
+        if self.collection.writes_parts:
             return None  # its bytes are its records
         return KeptPoints(self.root / DECODED_FILE, self.collection)
 

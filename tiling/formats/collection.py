@@ -131,6 +131,11 @@ class MapCollection:
         """Whether every file carries ASPRS classes."""
         return all(reader.description.has_classification for reader in self.readers)
 
+    @property
+    def writes_parts(self) -> bool:
+        """Whether all files can be written in parts: their bytes are their records, or nearly."""
+        return all(reader.writes_parts for reader in self.readers)
+
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
     ) -> Iterator[tuple[int, PointBatch]]:
