@@ -215,12 +215,16 @@ class _Rest:
             for group, slots in groups.items()
         }
         beyond = self._beyond(vicinities)
-        for group, slots in groups.items():
-            inside = np.flatnonzero(self._membership == group[0])
-            near = inside[vicinities[group].holds(self._known.xyz[inside])]
-            outside = beyond[group[0]]
-            outside = outside.select(vicinities[group].holds(outside.xyz))
-            density[slots] = self._densities(near, outside, queries[slots])
+        for cluster, outside in beyond.items():
+            inside = np.flatnonzero(self._membership == cluster)
+            inside_xyz = self._known.xyz.take(inside, axis=0)
+            for group, slots in groups.items():
+                if group[0] != cluster:
+                    continue
+                vicinity = vicinities[group]
+                near = inside[vicinity.holds(inside_xyz)]
+                also_near = outside.select(vicinity.holds(outside.xyz))
+                density[slots] = self._densities(near, also_near, queries[slots])
         return density
 
     def _densities(

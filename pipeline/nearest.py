@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dynahull.compilation import compiled
 from dynahull.neighbours import nearest_neighbours
+from pipeline.vicinity import Vicinity
 
 _MOST_WITHOUT_TREE = 128
 
@@ -30,7 +31,10 @@ class FreePoints:
 
     def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "FreePoints":
         """Return some of the points."""
-        return FreePoints(self.xyz[chosen], self.rows[chosen])
+        if chosen.dtype == np.bool_:
+            chosen = np.flatnonzero(chosen)
+        # Whole rows are taken several times faster than by an index in brackets.
+        return FreePoints(self.xyz.take(chosen, axis=0), self.rows.take(chosen))
 
 
 class NearestSoFar:
@@ -59,10 +63,11 @@ class NearestSoFar:
         if not len(points):
             return
         if len(slots) <= _MOST_WITHOUT_TREE:
-            x, y, z = np.ascontiguousarray(points.xyz.T)
-            for slot in slots:
-                squared = _squared_distances(x, y, z, *self._centres[slot])
-                self._offer_to(slot, points, squared)
+            reach = self._reach()[slots]
+            octaves = np.frexp(reach)[1]
+            for octave in np.unique(octaves):
+                alike = octaves == octave
+                self._offer_around(points, slots[alike], reach[alike])
             return
         centres = self._centres[slots]
         found = nearest_neighbours(points.xyz, points.rows, self._k, centres)
@@ -71,16 +76,35 @@ class NearestSoFar:
         squared = (dx * dx + dy * dy) + dz * dz
         self._keep(slots, squared, points.rows[found], points.xyz[found])
 
-    def _offer_to(self, slot: np.intp, points: FreePoints, squared: NDArray[np.float64]) -> None:
-        """Look at every point: for few queries that takes less time than to build a tree."""
-        limit = min(self._squared[slot, -1], self._squared_limit[slot])
-        near = np.flatnonzero(squared <= limit)
+    def _offer_around(
+        self, points: FreePoints, slots: NDArray[np.intp], reach: NDArray[np.float64]
+    ) -> None:
+        """Let a few queries of like reach choose among the points around them.
+
+        To look at each of these takes less time than to build a tree.
+        """
+        if np.isfinite(reach).all():
+            points = points.select(Vicinity(self._centres[slots], reach).holds(points.xyz))
+        near, squared = np.empty(len(points), np.intp), np.empty(len(points))
+        for slot in slots:
+            limit = min(self._squared[slot, -1], self._squared_limit[slot])
+            count = _within(points.xyz, self._centres[slot], limit, near, squared)
+            self._offer_to(slot, points, near[:count], squared[:count])
+
+    def _offer_to(
+        self,
+        slot: np.intp,
+        points: FreePoints,
+        near: NDArray[np.intp],
+        squared: NDArray[np.float64],
+    ) -> None:
+        """Let one query choose among points that are near enough, at these squared distances."""
         if len(near) > self._k:
-            limit = np.partition(squared[near], self._k - 1)[self._k - 1]
-            near = near[squared[near] <= limit]
+            nearest = squared <= np.partition(squared, self._k - 1)[self._k - 1]
+            near, squared = near[nearest], squared[nearest]
         if len(near):
             chosen = near[None]
-            self._keep(np.array([slot]), squared[chosen], points.rows[chosen], points.xyz[chosen])
+            self._keep(np.array([slot]), squared[None], points.rows[chosen], points.xyz[chosen])
 
     def _keep(
         self,
@@ -123,16 +147,23 @@ class NearestSoFar:
 
 
 @compiled
-def _squared_distances(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    z: NDArray[np.float64],
-    centre_x: float,
-    centre_y: float,
-    centre_z: float,
-) -> NDArray[np.float64]:
-    squared = np.empty(len(x))
-    for point in range(len(x)):
-        dx, dy, dz = x[point] - centre_x, y[point] - centre_y, z[point] - centre_z
-        squared[point] = (dx * dx + dy * dy) + dz * dz
-    return squared
+def _within(
+    xyz: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    squared_limit: float,
+    near: NDArray[np.intp],
+    squared: NDArray[np.float64],
+) -> int:
+    """Find the points no farther than a limit: their indices, squared distances, and number."""
+    count = 0
+    for point in range(len(xyz)):
+        dx, dy, dz = (
+            xyz[point, 0] - centre[0],
+            xyz[point, 1] - centre[1],
+            xyz[point, 2] - centre[2],
+        )
+        distance = (dx * dx + dy * dy) + dz * dz
+        # Written in any case, and kept if it counts: no branch to be guessed.
+        near[count], squared[count] = point, distance
+        count += distance <= squared_limit
+    return count

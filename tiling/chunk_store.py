@@ -45,7 +45,10 @@ class Chunk:
 
     def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Chunk":
         """Return some of the points."""
-        return Chunk(self.xyz[chosen], self.rows[chosen], self.core[chosen])
+        if chosen.dtype == np.bool_:
+            chosen = np.flatnonzero(chosen)
+        # Whole rows are taken several times faster than by an index in brackets.
+        return Chunk(self.xyz.take(chosen, axis=0), self.rows.take(chosen), self.core.take(chosen))
 
 
 def joined(chunks: Sequence[Chunk]) -> Chunk:

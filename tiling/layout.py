@@ -184,7 +184,7 @@ def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout
         return Layout(occupancy.cell, np.zeros(2, np.int64), nothing, nothing, nothing[:, 0])
     origin = occupancy.columns.min(axis=0)
     order = morton_order(occupancy.columns - origin)
-    columns, counts = occupancy.columns[order], occupancy.counts[order]
+    columns, counts = occupancy.columns.take(order, axis=0), occupancy.counts.take(order)
     parting = parting_bits(columns - origin)
 
     def too_large(places: NDArray[np.intp], starts: NDArray[np.intp], bit: int) -> _Flags:

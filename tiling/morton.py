@@ -37,7 +37,7 @@ def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
     """
     low = _interleaved(columns & (1 << _HALF) - 1)
     if columns.max(initial=0) >> _HALF == 0:
-        return np.argsort(low, kind="stable")
+        return np.argsort(low)
     return np.lexsort((low, _interleaved(columns >> _HALF)))
 
 

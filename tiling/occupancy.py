@@ -134,7 +134,7 @@ class ColumnCounter:
         """Return the counts so far."""
         columns, counts = self._entries()
         order = _lexicographic_order(columns)
-        return Occupancy(self.cell, columns[order], counts[order])
+        return Occupancy(self.cell, columns.take(order, axis=0), counts.take(order))
 
     @property
     def _room(self) -> int:
@@ -175,20 +175,21 @@ class ColumnCounter:
         self._counts = np.zeros(capacity, dtype=np.int64)
 
     def _entries(self) -> tuple[Columns, NDArray[np.int64]]:
-        used = self._counts > 0
-        return self._columns[used], self._counts[used]
+        used = np.flatnonzero(self._counts)
+        # Pairs are taken several times faster than by an index in brackets.
+        return self._columns.take(used, axis=0), self._counts.take(used)
 
 
 def _lexicographic_order(columns: Columns) -> NDArray[np.intp]:
     """Return the order of distinct columns by x, and by y where x is the same."""
     if not len(columns):
         return np.zeros(0, np.intp)
-    low, high = columns.min(axis=0), columns.max(axis=0)
-    lines, in_line = (high - low + 1).tolist()
+    x, y = columns.T.copy()
+    lines, in_line = (int(along.max()) - int(along.min()) + 1 for along in (x, y))
     if lines * in_line > _LARGEST_KEY:
-        return np.lexsort((columns[:, 1], columns[:, 0]))
+        return np.lexsort((y, x))
     # To sort one number for each takes half the time.
-    return np.argsort((columns[:, 0] - low[0]) * in_line + (columns[:, 1] - low[1]))
+    return np.argsort((x - x.min()) * in_line + (y - y.min()))
 
 
 @compiled

@@ -11,7 +11,7 @@ from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels.compilation import kernels
 from dynahull.kernels.exact import exact_hull_volume
 from dynahull.kernels.growth import make_growth
-from dynahull.kernels.solve import Results, make_room
+from dynahull.kernels.solve import Results, Room, make_room
 from dynahull.kernels.tree import LEAF_SIZE, make_tree
 from dynahull.kernels.vectors import INDEX_BITS
 
@@ -139,9 +139,13 @@ def _solve(
         np.empty((0, 0), np.int64) if neighbours is None else neighbours,
     )
 
+    rooms: list[Room] = []  # not in use
+
     def solve_leaves(first: int) -> int:
         end = min(first + _LEAVES_AT_A_TIME, leaves)
-        compiled.solve(tree, k, first, end, wanted, make_room(k), results)
+        room = rooms.pop() if rooms else make_room(k)
+        compiled.solve(tree, k, first, end, wanted, room, results)
+        rooms.append(room)
         return min(end * LEAF_SIZE, count) - first * LEAF_SIZE
 
     _share_out(solve_leaves, range(0, leaves, _LEAVES_AT_A_TIME), threads, on_progress)

@@ -47,7 +47,7 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     scored = scored_points(job, tile)
     counts, cuts = _cuts_of(job, tile)
     removed = []
-    place = np.searchsorted(core_rows, scored.rows)
+    place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
         members = np.flatnonzero(scored.cluster == cluster)
         if count < SMALLEST_CLUSTER:
