@@ -56,7 +56,7 @@ def main() -> None:
         tiles = range(len(layout))
         write_pieces(store, collection, range(min(count, 10)), 0)
         timed("pieces", lambda: [write_pieces(store, collection, r, part) for part, r in ranges])
-        stored = sum(timed("assemble", lambda: [assemble(store, tile) for tile in tiles]))
+        stored = timed("assemble", lambda: sum(len(assemble(store, tile)) for tile in tiles))
         timed("read chunks", lambda: sum(len(read_chunk(store, tile)) for tile in tiles))
         size = sum(store.chunk_path(tile).stat().st_size for tile in tiles)
     timed("read map", lambda: sum(1 for _ in collection.batches()))

@@ -29,8 +29,8 @@ class _Format(Protocol):
         """Read a chunk; any error of the library used is let through."""
 
 
-def assemble(store: ChunkStore, tile: int) -> int:
-    """Gather the points of a tile from all pieces into its chunk.
+def assemble(store: ChunkStore, tile: int) -> Chunk:
+    """Gather the points of a tile from all pieces into its chunk, and return them.
 
     The chunk's bytes depend on the store alone, not on the ranges of rows that were cut. It
     appears whole or not at all. The memory needed is that of the tile's points, three times.
@@ -44,8 +44,7 @@ def assemble(store: ChunkStore, tile: int) -> int:
 
     Returns
     -------
-    int
-        Points in the chunk: core and halo.
+    Chunk
 
     Raises
     ------
@@ -57,7 +56,12 @@ def assemble(store: ChunkStore, tile: int) -> int:
     chunk = read_tile(store, tile)
     with atomic_file(store.chunk_path(tile)) as temporary:
         _format(store).write(temporary, chunk, store, tile)
-    return len(chunk)
+    return chunk
+
+
+def has_chunk(store: ChunkStore, tile: int) -> bool:
+    """Tell whether a tile's chunk is there."""
+    return store.chunk_path(tile).is_file()
 
 
 def read_chunk(store: ChunkStore, tile: int) -> Chunk:
@@ -70,7 +74,7 @@ def read_chunk(store: ChunkStore, tile: int) -> Chunk:
     """
     path = store.chunk_path(tile)
     expected = f"the chunk of tile {tile}"
-    if not path.is_file():
+    if not has_chunk(store, tile):
         raise ChunkError(path, expected, "no such file")
     try:
         chunk = _format(store).read(path)
@@ -107,13 +111,14 @@ def read_cores(
     Raises
     ------
     ChunkError
-        When a chunk is missing or damaged.
+        When a chunk is damaged, or neither a chunk nor all pieces are there.
     """
     parts = []
     for tile in tiles:
-        chunk = read_chunk(store, tile)
-        flat = chunk.xyz[:, :2]
-        parts.append(chunk.select(chunk.core & ((flat >= low) & (flat <= high)).all(axis=1)))
+        chunk = read_chunk(store, tile) if has_chunk(store, tile) else read_tile(store, tile)
+        x, y = chunk.xyz[:, 0], chunk.xyz[:, 1]
+        inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+        parts.append(chunk.select(chunk.core & inside))
     together = joined(parts)
     return together.select(np.argsort(together.rows))
 

@@ -71,7 +71,8 @@ def map_array(path: Path, name: str) -> NDArray[Any]:
         if not math.prod(shape):
             return np.empty(shape, kind)  # nothing cannot be mapped
         try:
-            return np.asarray(np.memmap(stream, kind, "r", start, tuple(shape)))
+            # Not "r": compiled code would be compiled once more for arrays that are read only.
+            return np.asarray(np.memmap(stream, kind, "c", start, tuple(shape)))
         except ValueError:
             raise _damaged(path, (name,)) from None
 

@@ -20,7 +20,7 @@ from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.cutting import make_copies
-from pipeline.tiles.execution import Executor, LightTasks
+from pipeline.tiles.execution import Executor
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.labelling import save_cuts
@@ -66,12 +66,13 @@ def clean_tiles(
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
     """
-    plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
-    # Fitting takes a second to import, and this process has nothing to do while tiles are cut.
+    # Fitting takes a second to import: no better time than while workers start.
     Thread(target=import_module, args=("sklearn.cluster",), daemon=True).start()
-    cut_into_chunks(job, executor, observer)
+    plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
+    cut_into_pieces(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))
+    remove_pieces(job)
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     percentages, cuts = _rescaled(job, counts, observer)
@@ -93,7 +94,7 @@ def plan_tiles(
     """Survey the map, and plan its tiles."""
     make_copies(job)
     rows = [len(part) for part in job.row_ranges]
-    reports = do_stage(job, LightTasks(executor), observer, "survey", rows)
+    reports = do_stage(job, executor, observer, "survey", rows)
     surveys = _surveys(job, reports)
     if (job.root / CHUNKS_FOLDER / "store.json").exists():
         exhaust(surveys)
@@ -115,14 +116,23 @@ def plan_tiles(
     _store(job, plan, survey, compression).save()
 
 
-def cut_into_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
-    """Cut a map whose tiles are planned into their chunks."""
+def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver) -> None:
+    """Sort the points of a map whose tiles are planned by tile."""
     rows = [len(part) for part in job.cut_ranges]
     exhaust(do_stage(job, executor, observer, "cut", rows))
     if job.decoded is not None and not job.decoded.has_records:
         job.decoded.path.unlink(missing_ok=True)
+
+
+def gather_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
+    """Gather the chunks of a map that is cut into pieces, where no other task does."""
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
+    remove_pieces(job)
+
+
+def remove_pieces(job: Job) -> None:
+    """Remove the pieces: all points are in chunks."""
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
 
 

@@ -50,5 +50,5 @@ def cut_rows(job: Job, number: int) -> TaskReport:
 
 def assemble_tile(job: Job, tile: int) -> TaskReport:
     """Gather the points of a tile from all pieces into its chunk."""
-    held = assemble(job.store, tile)
-    return TaskReport(int(job.store.layout.counts[tile]), (held,))
+    chunk = assemble(job.store, tile)
+    return TaskReport(int(job.store.layout.counts[tile]), (len(chunk),))

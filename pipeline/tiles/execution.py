@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from time import monotonic
 from typing import Any, Protocol
 
@@ -98,26 +99,6 @@ class Starting:
     def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
         """Do the tasks on the workers."""
         yield from self._started.result().run(task, folder, numbers)
-
-    def run_light(
-        self, task: Task, folder: str, numbers: Iterable[int]
-    ) -> Iterator[tuple[int, Outcome]]:
-        """Do tasks that need little memory: in this process, until the workers are there."""
-        waiting = iter(numbers)
-        while not self._started.done():
-            number = next(waiting, None)
-            if number is None:
-                return
-            yield from InProcess().run(task, folder, [number])
-        yield from self.run(task, folder, waiting)
-
-
-class LightTasks:
-    """Runs tasks that need little memory, without waiting for workers that are being started."""
-
-    def __init__(self, executor: Executor) -> None:
-        self.workers = executor.workers
-        self.run = executor.run_light if isinstance(executor, Starting) else executor.run
 
 
 class OnDask:
@@ -211,6 +192,8 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
         Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
     """
     start_fork_server()
+    # Not in that thread: what this one imports meanwhile would hold it up.
+    import_module("distributed")
     with ExitStack() as stack, ThreadPoolExecutor(1) as thread:
         yield Starting(workers, thread.submit(_start_workers, workers, memory, stack))
 

@@ -18,11 +18,12 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
 from tiling.chunk_store import Chunk, joined
-from tiling.chunks import read_chunk, read_cores
+from tiling.chunks import assemble, has_chunk, read_chunk, read_cores
 from tiling.layout import Layout
 
 LABEL_NAMES = ("core_rows", "core_labels")
-OWN_NAMES = ("own_xyz", "own_rows")
+OWN_ROWS = "own_rows"
+OWN_NAMES = ("own_xyz", OWN_ROWS)
 AROUND_NAMES = ("around_xyz", "around_rows")
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 SHOWN_NAMES = ("shown_xyz", "shown_rows")
@@ -30,6 +31,8 @@ SHOWN_NAMES = ("shown_xyz", "shown_rows")
 
 def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
     """Label the ground of a tile's core, and keep the ground-free points of its region.
+
+    Its points are gathered into its chunk first, if that is not there yet.
 
     Kept as well are those of its points that the clusters are fitted on, and those that the report
     shows. Where the memory does not suffice for the tile, `sides` x `sides` parts of it are done
@@ -103,10 +106,10 @@ def region_of(job: Job, tile: int) -> Region:
 def _surroundings(job: Job, tile: int) -> Chunk:
     """Return all points that decide which points of a tile's region are free of the ground."""
     store = job.store
-    chunk = read_chunk(store, tile)
+    chunk = read_chunk(store, tile) if has_chunk(store, tile) else assemble(store, tile)
     if store.halo >= job.decision_radius:
         return chunk
-    # The halo is too narrow: the rest comes from the chunks around.
+    # The halo is too narrow: the rest comes from the tiles around.
     layout = store.layout
     low = layout.low[tile] - job.decision_radius
     high = layout.high[tile] + job.decision_radius
@@ -115,6 +118,11 @@ def _surroundings(job: Job, tile: int) -> Chunk:
     around.core[:] = False
     together = joined([chunk.select(chunk.core), around])
     return together.select(np.argsort(together.rows))
+
+
+def own_points(job: Job, tile: int) -> FreePoints:
+    """Return the ground-free points of a tile's core, of which only what is looked at is read."""
+    return FreePoints(*(job.work.map("ground", tile, name) for name in OWN_NAMES))
 
 
 class TilesAround:
@@ -147,7 +155,7 @@ class TilesAround:
         if tile not in self._latest:
             if len(self._latest) >= _TILES_HELD:
                 self._latest.pop(next(iter(self._latest)))
-            self._latest[tile] = FreePoints(*self._job.work.load("ground", tile, *OWN_NAMES))
+            self._latest[tile] = own_points(self._job, tile)
         return self._latest[tile]
 
 

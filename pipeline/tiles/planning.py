@@ -11,7 +11,7 @@ from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.resources import check_one_tile, is_one_tile
-from pipeline.tiles.cleaning import cut_into_chunks, plan_tiles
+from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
 from pipeline.tiles.opening import open_job
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
@@ -87,7 +87,8 @@ def tile_map(
                     lambda plan: check_plan(plan, configuration, output),
                     "zstd",
                 )
-                cut_into_chunks(job, executor, observer)
+                cut_into_pieces(job, executor, observer)
+                gather_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)
             for name in _PRODUCTS:

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.selection import ScoredPoints
+from pipeline.tiles.ground import OWN_ROWS
 from pipeline.tiles.job import Job
 
-_BY_ROW = ("cluster", "density", "rows")
+_BY_ROW = ("cluster", "density")
 _ORDERED, _STARTS = "ordered", "starts"
 
 _MOST_MAPPED = 30_000
@@ -27,7 +28,8 @@ def save_scores(job: Job, tile: int, scored: ScoredPoints, centroids: NDArray[np
 
 def scored_points(job: Job, tile: int) -> ScoredPoints:
     """Return the scores of a tile."""
-    return ScoredPoints(*job.work.load("density", tile, *_BY_ROW))
+    scores = job.work.load("density", tile, *_BY_ROW)
+    return ScoredPoints(*scores, *job.work.load("ground", tile, OWN_ROWS))
 
 
 class KeptScores:

@@ -61,13 +61,13 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
 
 def _points_of_region(job: Job, tile: int) -> tuple[FreePoints, NDArray[np.bool_]]:
     """Return the ground-free points that a tile knows, and which of them are its own."""
-    # Read one after the other, so that no more than the coordinates are there twice.
-    xyz = [job.work.load("ground", tile, names[0])[0] for names in (OWN_NAMES, AROUND_NAMES)]
-    joined_xyz, own_count = np.concatenate(xyz), len(xyz[0])
-    del xyz
-    rows = [job.work.load("ground", tile, names[1])[0] for names in (OWN_NAMES, AROUND_NAMES)]
-    points = FreePoints(joined_xyz, np.concatenate(rows))
-    return points, np.arange(len(points)) < own_count
+    # Joined as they are read, so that nothing is there twice.
+    xyz, rows = (
+        [job.work.map("ground", tile, name) for name in names]
+        for names in zip(OWN_NAMES, AROUND_NAMES, strict=True)
+    )
+    points = FreePoints(np.concatenate(xyz), np.concatenate(rows))
+    return points, np.arange(len(points)) < len(rows[0])
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:

@@ -36,7 +36,9 @@ READING = ("survey", "cut", "write")
 what others read before, even if the map is put back before the run goes on."""
 
 DIVISIBLE = ("ground", "density")
-"""Stages whose tasks can be done in parts, where the memory does not suffice for a whole tile."""
+"""Stages that take most memory. Their tasks can be done in parts where it does not suffice for a
+whole tile, and give it back when they are done; those of others leave it for the next task, as the
+system takes longer to find pages, and to wipe them, than to copy what is put there."""
 
 _STATE_EVERY = 1.0
 """Seconds between two updates of what other terminals are told."""
@@ -59,7 +61,8 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
         check_map(job.paths, job.state)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
     job.work.finish(stage, number, report)
-    give_memory_back()
+    if stage in DIVISIBLE:
+        give_memory_back()
     return report
 
 

@@ -25,7 +25,6 @@ from pipeline.tiles.execution import (
     IN_FLIGHT_PER_WORKER,
     RETRIES,
     InProcess,
-    LightTasks,
     OnDask,
     Starting,
     TaskFailure,
@@ -122,20 +121,12 @@ def test_faults_of_the_file_system_are_tried_again_and_others_are_not(client, tm
     assert found[3] == TaskReport(3)  # the last try went well
 
 
-def test_light_tasks_are_done_here_until_the_workers_are_there(client):
+def test_tasks_wait_for_workers_that_are_being_started(client):
     started = Future()
-    executor = Starting(2, started)
-
-    def numbers():
-        yield from (0, 1)
-        started.set_result(OnDask(client))
-        yield from (2, 3, 4)
-
-    found = dict(LightTasks(executor).run(thread, "", numbers()))
-    here = threading.get_ident()
-    assert [found[number].points == here for number in range(5)] == [True] * 3 + [False] * 2
-    assert dict(executor.run(thread, "", [7]))[7].points != here
-    assert LightTasks(InProcess()).workers == 1
+    threading.Timer(0.2, started.set_result, [OnDask(client)]).start()
+    found = dict(Starting(2, started).run(thread, "", [7, 8]))
+    assert threading.get_ident() not in {report.points for report in found.values()}
+    assert set(found) == {7, 8}
 
 
 def test_starting_workers_leaves_this_process_its_threads(monkeypatch):

@@ -373,7 +373,6 @@ class TestStatusAndClean:
         assert code == 0
         tiles = len(list((failed / WORK / "tiles/chunks").iterdir()))
         assert f"{failed}: not running" in text
-        assert re.search(rf"^chunk +{tiles} tasks done$", text, re.MULTILINE)
         assert re.search(rf"^ground +{tiles} tasks done$", text, re.MULTILINE)
         assert re.search(
             rf"^density +{tiles - 1} of {tiles} tasks done, 1 failed, 0 waiting", text, re.MULTILINE

@@ -118,8 +118,8 @@ def test_a_tile_that_is_too_large_in_any_parts_is_named(map_file, tmp_path, monk
 
 
 def test_a_stage_that_has_no_parts_is_not_tried_in_parts(map_file, tmp_path, monkeypatch):
-    greedy = Greedy(monkeypatch, "chunk", 100)
-    with pytest.raises(TasksFailedError, match="stage chunk failed"):
+    greedy = Greedy(monkeypatch, "label", 100)
+    with pytest.raises(TasksFailedError, match="stage label failed"):
         cleaned(map_file, tmp_path, "execution.cluster=none")
     assert {sides for _, sides in greedy.calls} == {1}
 

@@ -393,7 +393,7 @@ def test_kept_work_serves_the_next_run(map_file, tmp_path, expected, done_tasks)
 @pytest.mark.parametrize(
     ("stage", "error"),
     [
-        *((stage, ValueError("no luck")) for stage in ("survey", "cut", "chunk", "ground")),
+        *((stage, ValueError("no luck")) for stage in ("survey", "cut", "ground")),
         *((stage, OSError(28, "No space left")) for stage in ("density", "label", "write")),
     ],
 )
@@ -414,9 +414,9 @@ def test_a_failed_task_is_named_and_the_same_command_goes_on(
     assert reason in told
     assert not (tmp_path / "out/run.json").exists()
     assert not (tmp_path / "out/static.npy").exists()
-    if stage in ("chunk", "ground", "density", "label"):  # the others are done all the same
-        tiles = len(list((tmp_path / "out" / WORK).glob("chunk/*.done")))
-        tiles += stage == "chunk"
+    if stage in ("ground", "density", "label"):  # the others are done all the same
+        tiles = len(list((tmp_path / "out" / WORK).glob("ground/*.done")))
+        tiles += stage == "ground"
         assert {each for name, each in done_tasks if name == stage} == {*range(tiles)} - {3}
     fault.error = None
     done_tasks.clear()
