@@ -10,6 +10,7 @@ from pipeline.outputs import OutputNames
 from pipeline.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.tiles.cleaning import clean_tiles
+from pipeline.tiles.fitting import Fit
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
@@ -26,6 +27,7 @@ def clean_in_tiles(
     names: OutputNames,
     staging: Path,
     observer: StageObserver,
+    fit: Fit,
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
     observer.finish()  # workers may be long in coming
@@ -35,6 +37,7 @@ def clean_in_tiles(
             executor,
             observer,
             lambda plan: check_plan(plan, job.configuration, job.root),
+            fit,
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
         sample, tiles = None, None

@@ -9,8 +9,10 @@ begin with it as soon as it is known that they are needed.
 """
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
+from dynahull.clustering import fit_clusters
 from dynahull.errors import MissingClassificationError
 from pipeline.configuration import Configuration
 from pipeline.errors import OutputError
@@ -32,6 +34,7 @@ from pipeline.report_page.page import Views, render_page
 from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import TileWork
 from pipeline.resources import check_one_tile, check_space, is_one_tile, output_size
+from pipeline.tiles.fitting import fitting
 from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.workers import prepare_workers
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
@@ -89,7 +92,11 @@ def run(
     names = OutputNames.of(collection.readers, configuration.output.mode)
     wants_page = configuration.output.report == "html"
     results = names.all_files(configuration.output.labels, wants_page)
-    with output_folder(folder, results, paths) as staging, unchanged(paths) as state:
+    with (
+        output_folder(folder, results, paths) as staging,
+        unchanged(paths) as state,
+        nullcontext(fit_clusters) if one_tile else fitting(configuration) as fit,
+    ):
         if one_tile:
             size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
@@ -110,7 +117,7 @@ def run(
             from pipeline.tiles.opening import open_job  # noqa: PLC0415
 
             job = open_job(work, paths, state, digest, configuration, fresh, observer)
-            cleaned = clean_in_tiles(job, collection, names, staging, observer)
+            cleaned = clean_in_tiles(job, collection, names, staging, observer, fit)
         if configuration.output.labels:
             from pipeline.labels_table import write_labels  # noqa: PLC0415
 

@@ -4,14 +4,12 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib import import_module
-from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.algorithm import warn_of_clusters
-from dynahull.clustering import fit_clusters, sample_rows
+from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
@@ -21,6 +19,7 @@ from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.cutting import make_copies
 from pipeline.tiles.execution import Executor
+from pipeline.tiles.fitting import Fit
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.labelling import save_cuts
@@ -54,7 +53,11 @@ class TiledResult:
 
 
 def clean_tiles(
-    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
+    job: Job,
+    executor: Executor,
+    observer: StageObserver,
+    check: Callable[[Plan], None],
+    fit: Fit,
 ) -> TiledResult:
     """Label every point of a map that is cut into tiles.
 
@@ -65,15 +68,15 @@ def clean_tiles(
     observer : StageObserver
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
+    fit : callable
+        Fits the clusters of the map.
     """
-    # Fitting takes a second to import: no better time than while workers start.
-    Thread(target=import_module, args=("sklearn.cluster",), daemon=True).start()
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     cut_into_pieces(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))
     remove_pieces(job)
-    find_clusters(job, observer)
+    find_clusters(job, observer, fit)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     percentages, cuts = _rescaled(job, counts, observer)
     labelled, results = _Labelled(job), RowResults(job)
@@ -136,7 +139,7 @@ def remove_pieces(job: Job) -> None:
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
 
 
-def find_clusters(job: Job, observer: StageObserver) -> None:
+def find_clusters(job: Job, observer: StageObserver, fit: Fit) -> None:
     """Fit the model of the map on the sample gathered from all tiles."""
     if job.configuration.clustering.scope == "tile" or (job.root / CLUSTERS_FILE).exists():
         return
@@ -151,7 +154,7 @@ def find_clusters(job: Job, observer: StageObserver) -> None:
         chosen = sample_rows(rows, job.finite_count, parameters)
         xyz, rows = xyz[chosen], rows[chosen]
         observer.advance(1)
-    clusters = fit_clusters(xyz, parameters)
+    clusters = fit(xyz, parameters)
     with atomic_file(job.root / CLUSTERS_FILE) as temporary, temporary.open("wb") as stream:
         np.save(stream, clusters.centroids)
 

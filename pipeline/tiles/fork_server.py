@@ -2,14 +2,25 @@
 
 A process that starts anew spends a second and a half on imports and on loading compiled code, as
 often as there are workers. Where processes cannot be forked safely each worker starts anew.
+
+That one process, multiprocessing's fork server, is itself forked from this one where this one has
+a single thread: what both need is then imported once, and lies once in memory. Otherwise it starts
+anew as well, and imports while this one goes on.
 """
 
 import multiprocessing
 import os
+import signal
 import sys
-from collections.abc import Iterator, Mapping
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from multiprocessing import forkserver
+from importlib import import_module
+from itertools import pairwise
+from multiprocessing import forkserver, resource_tracker, util
+from pathlib import Path
+from typing import Any
 
 ONE_THREAD = dict.fromkeys(
     (
@@ -27,17 +38,92 @@ ONE_THREAD = dict.fromkeys(
 START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 """How worker processes start; forking after imports is sound on Linux only."""
 
+_PRELOADED = "pipeline.tiles.preloaded"
+
+
+def stay_forkable() -> None:
+    """Keep NumPy from starting threads in this process; to be called before it is imported.
+
+    Nothing here multiplies matrices large enough for them.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 def start_fork_server() -> None:
-    """Start the process that workers are forked from, and do not wait for it.
+    """Start the process that workers are forked from; does nothing where it runs.
 
-    It imports `pipeline.tiles.preloaded` while the caller goes on. Does nothing where it runs.
+    It has imported `pipeline.tiles.preloaded`, or imports it while the caller goes on.
     """
     if START_METHOD != "forkserver":
         return
-    multiprocessing.get_context("forkserver").set_forkserver_preload(["pipeline.tiles.preloaded"])
+    multiprocessing.get_context("forkserver").set_forkserver_preload([_PRELOADED])
     with _environment(ONE_THREAD):
-        forkserver.ensure_running()
+        if has_one_thread():
+            import_module(_PRELOADED)
+            resource_tracker.ensure_running()  # which the server itself would start
+            with _replaced(util, "spawnv_passfds", _fork_python):
+                forkserver.ensure_running()
+        else:
+            forkserver.ensure_running()
+
+
+def has_one_thread() -> bool:
+    """Tell whether a fork of this process would lose none of its threads, libraries' included."""
+    tasks = Path("/proc/self/task")
+    return tasks.is_dir() and len(list(tasks.iterdir())) == 1
+
+
+def fork(work: Callable[[], None], descriptors: Sequence[int]) -> int:
+    """Do some work in a fork of this process, which has one thread of its own.
+
+    Parameters
+    ----------
+    work : callable
+        Done there; then that process ends.
+    descriptors : sequence of int
+        Open files that it needs. All others are closed there: it would hold locks, for one.
+
+    Returns
+    -------
+    int
+        Number of the new process.
+    """
+    with warnings.catch_warnings():
+        # Of a thread of Arrow's memory pool, which is made for that.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        process = os.fork()
+    if process:
+        return process
+    try:
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        kept = [*sorted({0, 1, 2, *descriptors}), os.sysconf("SC_OPEN_MAX")]
+        for one, following in pairwise(kept):
+            os.closerange(one + 1, following)
+        work()
+    except SystemExit:
+        pass  # how a fork server ends
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(0)
+
+
+def _fork_python(_program: str, arguments: Sequence[str], descriptors: Sequence[int]) -> int:
+    """Fork this process where multiprocessing would start Python anew, with a text to run."""
+    *_, text = arguments
+    return fork(lambda: exec(text, {}), descriptors)
+
+
+@contextmanager
+def _replaced(module: Any, name: str, value: object) -> Iterator[None]:
+    """Give a name of a module another value in this block."""
+    before = getattr(module, name)
+    setattr(module, name, value)
+    try:
+        yield
+    finally:
+        setattr(module, name, before)
 
 
 @contextmanager

@@ -24,7 +24,7 @@ CLUSTERS_FILE = "clusters.npy"
 CHUNKS_FOLDER = "tiles"
 DECODED_FILE = "map.decoded"
 
-ROWS_AT_A_TIME = 1_000_000
+ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
 
 
