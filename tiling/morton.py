@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.compiled import compiled
+from tiling.ordering import ascending_order
 
 _HALF = 31
 """Bits of each coordinate in one key; two keys take coordinates to 2^62."""
@@ -37,7 +38,7 @@ def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
     """
     low = _interleaved(columns & (1 << _HALF) - 1)
     if columns.max(initial=0) >> _HALF == 0:
-        return np.argsort(low)
+        return ascending_order(low)
     return np.lexsort((low, _interleaved(columns >> _HALF)))
 
 

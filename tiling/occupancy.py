@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.compiled import compiled
+from tiling.ordering import ascending_order
 
 FINEST_CELL = 0.25
 """Side of a column of the occupancy lattice, metres, before any coarsening."""
@@ -188,8 +189,7 @@ def _lexicographic_order(columns: Columns) -> NDArray[np.intp]:
     lines, in_line = (int(along.max()) - int(along.min()) + 1 for along in (x, y))
     if lines * in_line > _LARGEST_KEY:
         return np.lexsort((y, x))
-    # To sort one number for each takes half the time.
-    return np.argsort((x - x.min()) * in_line + (y - y.min()))
+    return ascending_order((x - x.min()) * in_line + (y - y.min()))
 
 
 @compiled

@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from operator import length_hint
 from time import monotonic
 from typing import Any, Protocol
 
@@ -21,8 +22,8 @@ IN_FLIGHT_PER_WORKER = 2
 """Tasks handed to the scheduler for each worker: one that runs, and one that waits."""
 
 _LONG = 1.0
-"""Seconds from which on a task is handed out only when a worker is free: one that waits at a worker
-is not done by another that has nothing left to do."""
+"""Seconds from which on a task is handed out only when a worker is free, as the last ones always
+are: one that waits at a worker is not done by another that has nothing left to do."""
 
 _COUNT_EVERY = 5.0
 """Seconds between two counts of the workers: asking the scheduler costs more than a task."""
@@ -133,7 +134,8 @@ class OnDask:
             if monotonic() - counted >= _COUNT_EVERY:
                 workers, counted = self.workers, monotonic()
                 key_split.cache_clear()  # it holds the names of the last 100,000 tasks
-            window = workers if seconds >= _LONG else IN_FLIGHT_PER_WORKER * workers
+            last = length_hint(waiting, workers + 1) <= workers  # more, where it is not known
+            window = workers if last or seconds >= _LONG else IN_FLIGHT_PER_WORKER * workers
             while len(flying) < window and (number := next(waiting, None)) is not None:
                 future = self._client.submit(
                     _guarded, task, folder, number, pure=False, retries=RETRIES

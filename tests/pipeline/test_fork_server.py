@@ -1,0 +1,161 @@
+"""What workers and the clusters' fitter are forked from: one process, where that is safe.
+
+Each test looks at a process of its own, as a command has: this one has threads.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pipeline.tiles.fork_server import START_METHOD
+
+pytestmark = pytest.mark.skipif(START_METHOD != "forkserver", reason="forks on Linux only")
+
+PREAMBLE = """
+import json, os, sys, threading, time
+from pathlib import Path
+from pipeline.tiles.fork_server import start_fork_server, stay_forkable
+stay_forkable()
+import numpy as np
+
+def children():
+    found = Path("/proc/self/task", str(os.getpid()), "children").read_text()
+    return [int(pid) for pid in found.split()]
+
+def command(pid):
+    return Path("/proc", str(pid), "cmdline").read_text()
+"""
+
+FITTING = (
+    PREAMBLE
+    + """
+from dynahull.clustering import fit_clusters
+from pipeline.configuration import load_configuration
+from pipeline.tiles.fitting import fitting
+configuration = load_configuration(None, ["execution.workers=2", "clustering.count=3"])
+sample = np.random.default_rng(0).uniform(size=(500, 3))
+"""
+)
+
+
+def said(program, **environment):
+    """Run a program that prints JSON, and return what it says."""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    return json.loads(done.stdout)
+
+
+WORKERS = (
+    PREAMBLE
+    + """
+if sys.argv[-1] == "thread":
+    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+import fcntl
+lock = os.open(".", os.O_RDONLY)
+fcntl.flock(lock, fcntl.LOCK_EX)
+start_fork_server()
+os.close(lock)
+
+from multiprocessing import forkserver
+from pipeline.tiles.execution import local_workers
+from pipeline.tiles.work import TaskReport
+
+def threads(folder, number):
+    import signal
+    import numba, scipy.linalg, sklearn.cluster
+    from threadpoolctl import threadpool_info
+    counts = [pool["num_threads"] for pool in threadpool_info()]
+    counts.append(numba.config.NUMBA_NUM_THREADS)
+    assert "pipeline.tiles.preloaded" in sys.modules
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    return TaskReport(0, tuple(counts))
+
+server = forkserver._forkserver._forkserver_pid
+with local_workers(1, 3 << 30) as executor:
+    ((_, report),) = executor.run(threads, "", [0])
+    other = os.open(".", os.O_RDONLY)
+    fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # which neither server nor workers hold
+found = {"server": command(server), "own": command(os.getpid()), "threads": report.counts}
+print(json.dumps(found))
+"""
+)
+
+
+@pytest.mark.parametrize("threads", ["none", "of Python", "of a library"])
+def test_workers_are_forked_from_this_process_where_it_has_one_thread(threads, tmp_path):
+    program = WORKERS.replace("sys.argv[-1]", repr("thread" if threads == "of Python" else ""))
+    library = {"OPENBLAS_NUM_THREADS": "2"} if threads == "of a library" else {}
+    found = said(f"import os\nos.chdir({str(tmp_path)!r})\n{program}", **library)
+    assert (found["server"] == found["own"]) == (threads == "none")
+    assert set(found["threads"]) == {1}
+    assert len(found["threads"]) > 3
+
+
+@pytest.mark.parametrize("fate", ["", "os.kill(children()[0], 9)"])
+def test_clusters_are_fitted_by_another_process_and_by_this_one_if_that_is_killed(fate):
+    found = said(
+        FITTING
+        + f"""
+with fitting(configuration) as fit:
+    pids = children()
+    {fate}
+    found = fit(sample, configuration.clustering).centroids
+here = "sklearn" in sys.modules
+assert not children()
+same = (found == fit_clusters(sample, configuration.clustering).centroids).all()
+print(json.dumps([len(pids), here, bool(same)]))
+"""
+    )
+    assert found == [1, bool(fate), True]
+
+
+@pytest.mark.parametrize(
+    ("settings", "thread"),
+    [("execution.workers=1", False), ("clustering.scope=tile", False), ("", True)],
+)
+def test_clusters_are_fitted_here_where_no_process_is_forked_for_it(settings, thread):
+    found = said(
+        FITTING
+        + f"""
+wanted = [{settings!r}] if {settings!r} else []
+configuration = load_configuration(None, ["execution.workers=2", "clustering.count=3", *wanted])
+if {thread}:
+    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+with fitting(configuration) as fit:
+    print(json.dumps([len(children()), len(fit(sample, configuration.clustering).centroids)]))
+"""
+    )
+    assert found == [0, 3]
+
+
+def test_who_fits_ends_with_who_asked_for_it_however_that_ends(tmp_path):
+    program = (
+        FITTING
+        + """
+with fitting(configuration):
+    print(children()[0], flush=True)
+    time.sleep(60)
+"""
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as asking:
+        fitter = Path("/proc") / asking.stdout.readline().decode().strip()
+        assert fitter.exists()
+        asking.send_signal(signal.SIGKILL)
+    until = time.monotonic() + 60
+    while fitter.exists() and "zombie" not in (fitter / "status").read_text():
+        assert time.monotonic() < until
+        time.sleep(0.05)
