@@ -19,7 +19,7 @@ from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.cutting import make_copies
 from pipeline.tiles.execution import Executor
-from pipeline.tiles.fitting import Fit
+from pipeline.tiles.fitting import Fit, import_meanwhile
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
 from pipeline.tiles.labelling import save_cuts
@@ -71,6 +71,7 @@ def clean_tiles(
     fit : callable
         Fits the clusters of the map.
     """
+    import_meanwhile(fit)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     cut_into_pieces(job, executor, observer)
     tiles = job.store.layout.counts.tolist()

@@ -33,25 +33,35 @@ _LIBRARY = "sklearn.cluster"
 @contextmanager
 def fitting(configuration: Configuration) -> Iterator[Fit]:
     """Get ready for fitting the clusters of a map, and do not wait for it."""
-    if configuration.clustering.scope == "tile":
-        yield fit_clusters  # workers do it
-    elif available_cores(configuration.execution.workers) > 1 and has_one_thread():
+    there_is_a_core = available_cores(configuration.execution.workers) > 1
+    if configuration.clustering.scope == "map" and there_is_a_core and has_one_thread():
         with _process() as connection:
             yield lambda sample, parameters: _fit(connection, sample, parameters)
     else:
-        Thread(target=import_module, args=(_LIBRARY,), daemon=True).start()
         yield fit_clusters
+
+
+def import_meanwhile(fit: Fit) -> None:
+    """Import what fitting takes, if it is done by this process, while there is time.
+
+    Not before what else this process needs is imported: two threads would import the same.
+    """
+    if fit is fit_clusters:
+        Thread(target=import_module, args=(_LIBRARY,), daemon=True).start()
 
 
 @contextmanager
 def _process() -> Iterator["Connection[Any, Any]"]:
     """Fork a process that fits what it is sent, once, and ends with this block."""
     ours, theirs = Pipe()
-    with ours:
-        process = fork(lambda: _serve(theirs), [theirs.fileno()])
-        theirs.close()
-        yield ours
-    os.waitpid(process, 0)
+    process = fork(lambda: _serve(theirs), [theirs.fileno()])
+    theirs.close()
+    try:
+        with ours:
+            yield ours
+    finally:
+        os.kill(process, signal.SIGKILL)  # where nothing was to be fitted, it may be importing yet
+        os.waitpid(process, 0)
 
 
 def _serve(connection: "Connection[Any, Any]") -> None:
