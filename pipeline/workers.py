@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def prepare_workers(configuration: Configuration) -> None:
-    """Let workers of this machine load what they need while something else is done."""
+    """Start the process that workers of this machine are forked from, if there will be any."""
     if _are_local(configuration):
         start_fork_server()
 
