@@ -9,6 +9,7 @@ from pipeline.cleaned_map import CleanedMap
 from pipeline.outputs import OutputNames
 from pipeline.plan import check_plan
 from pipeline.progress import StageObserver
+from pipeline.tiles.ahead import made_ahead
 from pipeline.tiles.cleaning import clean_tiles
 from pipeline.tiles.fitting import Fit
 from pipeline.tiles.job import Job
@@ -58,14 +59,19 @@ def clean_in_tiles(
             observer,
             job,
             executor,
-            read=_decoded_batches(job),
+            read=_decoded_batches(job, ahead=executor.workers > 1),
         )
     return CleanedMap(labels, cluster, density, result.counts, result.clusters, sample, tiles)
 
 
-def _decoded_batches(job: Job) -> Callable[[int], Iterable[PointBatch]] | None:
-    """Return what gives the points of a file of the map, where their records were kept."""
+def _decoded_batches(job: Job, ahead: bool) -> Callable[[int], Iterable[PointBatch]] | None:
+    """Return what gives the points of a file of the map, where their records were kept.
+
+    It reads `ahead` where there is a core for it.
+    """
     decoded = job.decoded
     if decoded is None or not decoded.has_records:
         return None
+    if ahead:
+        return lambda file: made_ahead(decoded.batches_of(file, BATCH))
     return lambda file: decoded.batches_of(file, BATCH)

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -76,8 +77,9 @@ def clean_tiles(
     cut_into_pieces(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))
-    remove_pieces(job)
-    find_clusters(job, observer, fit)
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(remove_pieces, job)  # one core has time for it
+        find_clusters(job, observer, fit)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     percentages, cuts = _rescaled(job, counts, observer)
     labelled, results = _Labelled(job), RowResults(job)

@@ -219,6 +219,10 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
         # They look at what tasks do a hundred times a second, and tell a page that is not shown.
         "distributed.worker.profile.enabled": False,
         "distributed.admin.tick.interval": "1s",
+        # By default they look twice a second at what that page would show, and ten times at memory.
+        "distributed.admin.system-monitor.interval": "10s",
+        "distributed.admin.system-monitor.disk": False,
+        "distributed.worker.memory.monitor-interval": "250ms",
         "distributed.comm.timeouts.connect": "60s",
     }
     stack.enter_context(dask.config.set(settings))

@@ -8,6 +8,7 @@ a single thread: what both need is then imported once, and lies once in memory. 
 anew as well, and imports while this one goes on.
 """
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -15,7 +16,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import pairwise
 from multiprocessing import forkserver, resource_tracker, util
@@ -34,6 +35,20 @@ ONE_THREAD = dict.fromkeys(
     "1",
 )
 """Environment of a worker: no library starts threads of its own."""
+
+_MALLOC = {
+    # The option of `mallopt`, in glibc's malloc.h, and its value: the largest that it takes, but
+    # for all threads together. Only what they have in common is kept whatever its size.
+    "MALLOC_ARENA_MAX": (-8, 1),
+    "MALLOC_MMAP_THRESHOLD_": (-3, 1 << 25),
+    "MALLOC_TRIM_THRESHOLD_": (-1, (1 << 31) - 1),
+}
+"""Settings of glibc in a worker, by their names in the environment.
+
+It keeps what is freed for what comes next, in the same task and the one after it: to get memory
+from the system and to wipe it takes longer than to read what is put there. Tasks that need most
+give it back themselves.
+"""
 
 START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 """How worker processes start; forking after imports is sound on Linux only."""
@@ -57,7 +72,7 @@ def start_fork_server() -> None:
     if START_METHOD != "forkserver":
         return
     multiprocessing.get_context("forkserver").set_forkserver_preload([_PRELOADED])
-    with _environment(ONE_THREAD):
+    with _environment(ONE_THREAD | {name: str(value) for name, (_, value) in _MALLOC.items()}):
         if has_one_thread():
             import_module(_PRELOADED)
             resource_tracker.ensure_running()  # which the server itself would start
@@ -112,7 +127,15 @@ def fork(work: Callable[[], None], descriptors: Sequence[int]) -> int:
 def _fork_python(_program: str, arguments: Sequence[str], descriptors: Sequence[int]) -> int:
     """Fork this process where multiprocessing would start Python anew, with a text to run."""
     *_, text = arguments
-    return fork(lambda: exec(text, {}), descriptors)
+
+    def serve() -> None:
+        # What the environment says is read as a program starts.
+        with suppress(OSError, AttributeError):
+            for option, value in _MALLOC.values():
+                ctypes.CDLL(None).mallopt(option, value)
+        exec(text, {})
+
+    return fork(serve, descriptors)
 
 
 @contextmanager

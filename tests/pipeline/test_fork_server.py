@@ -74,6 +74,15 @@ from multiprocessing import forkserver
 from pipeline.tiles.execution import local_workers
 from pipeline.tiles.work import TaskReport
 
+def held():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+def kept():
+    before = held()
+    arrays = [np.ones(3_500_000) for _ in range(3)]
+    del arrays
+    return held() - before
+
 def threads(folder, number):
     import signal
     import numba, scipy.linalg, sklearn.cluster
@@ -81,6 +90,7 @@ def threads(folder, number):
     counts = [pool["num_threads"] for pool in threadpool_info()]
     counts.append(numba.config.NUMBA_NUM_THREADS)
     assert "pipeline.tiles.preloaded" in sys.modules
+    assert kept() > 75_000_000
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     return TaskReport(0, tuple(counts))
 
@@ -90,6 +100,7 @@ with local_workers(1, 3 << 30) as executor:
     other = os.open(".", os.O_RDONLY)
     fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # which neither server nor workers hold
 found = {"server": command(server), "own": command(os.getpid()), "threads": report.counts}
+found["kept"] = kept()
 print(json.dumps(found))
 """
 )
@@ -101,6 +112,7 @@ def test_workers_are_forked_from_this_process_where_it_has_one_thread(threads, t
     library = {"OPENBLAS_NUM_THREADS": "2"} if threads == "of a library" else {}
     found = said(f"import os\nos.chdir({str(tmp_path)!r})\n{program}", **library)
     assert (found["server"] == found["own"]) == (threads == "none")
+    assert found["kept"] < 75_000_000
     assert set(found["threads"]) == {1}
     assert len(found["threads"]) > 3
 
@@ -159,3 +171,25 @@ with fitting(configuration):
     while fitter.exists() and "zombie" not in (fitter / "status").read_text():
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+@pytest.mark.parametrize("before", ["", "import scipy.linalg; "])
+def test_what_is_preloaded_has_compiled_code_but_no_linear_algebra(before):
+    """numba imports it for one function, if it is there."""
+    program = """
+from dynahull.algorithm import clean
+import numpy as np
+clean(np.random.default_rng(0).uniform(size=(500, 3)))  # compiled from now on
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
+    found = said(
+        before
+        + """
+import json, sys
+import pipeline.tiles.preloaded
+loaded = ["scipy.linalg" in sys.modules, "numba.np.arraymath" in sys.modules]
+import scipy.linalg
+print(json.dumps([*loaded, float(scipy.linalg.norm([3, 4]))]))
+"""
+    )
+    assert found == [bool(before), True, 5.0]
