@@ -15,7 +15,7 @@ from operator import length_hint
 from time import monotonic
 from typing import Any, Protocol
 
-from pipeline.tiles.fork_server import ONE_THREAD, START_METHOD, start_fork_server
+from pipeline.tiles.fork_server import ONE_THREAD, START_METHOD, start_fork_server, stop_fork_server
 from pipeline.tiles.work import TaskReport
 
 IN_FLIGHT_PER_WORKER = 2
@@ -196,8 +196,11 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
     start_fork_server()
     # Not in that thread: what this one imports meanwhile would hold it up.
     import_module("distributed")
-    with ExitStack() as stack, ThreadPoolExecutor(1) as thread:
-        yield Starting(workers, thread.submit(_start_workers, workers, memory, stack))
+    try:
+        with ExitStack() as stack, ThreadPoolExecutor(1) as thread:
+            yield Starting(workers, thread.submit(_start_workers, workers, memory, stack))
+    finally:
+        stop_fork_server()
 
 
 def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:

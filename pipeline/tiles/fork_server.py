@@ -21,6 +21,7 @@ from importlib import import_module
 from itertools import pairwise
 from multiprocessing import forkserver, resource_tracker, util
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 ONE_THREAD = dict.fromkeys(
@@ -55,6 +56,9 @@ START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 
 _PRELOADED = "pipeline.tiles.preloaded"
 
+_stopping: list[Thread] = []
+"""Wait for the end of an earlier such process, which must not be taken for the next."""
+
 
 def stay_forkable() -> None:
     """Keep NumPy from starting threads in this process; to be called before it is imported.
@@ -71,6 +75,8 @@ def start_fork_server() -> None:
     """
     if START_METHOD != "forkserver":
         return
+    while _stopping:
+        _stopping.pop().join()
     multiprocessing.get_context("forkserver").set_forkserver_preload([_PRELOADED])
     with _environment(ONE_THREAD | {name: str(value) for name, (_, value) in _MALLOC.items()}):
         if has_one_thread():
@@ -80,6 +86,17 @@ def start_fork_server() -> None:
                 forkserver.ensure_running()
         else:
             forkserver.ensure_running()
+
+
+def stop_fork_server() -> None:
+    """Let that process end, and do not wait for it: by itself it outlives this one.
+
+    Its memory takes a tenth of a second to free, and who reads what the command says through a
+    pipe would wait for it.
+    """
+    server: Any = forkserver._forkserver  # there is no public way
+    _stopping.append(Thread(target=server._stop))
+    _stopping[-1].start()
 
 
 def has_one_thread() -> bool:

@@ -8,8 +8,6 @@ taken for this one's. So a run killed at any moment goes on with the tasks that 
 import json
 import shutil
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,9 +25,6 @@ _ARRAYS = ".arrays"
 
 REMOVED_FOLDER = f"{WORK_FOLDER}-removed"
 """Its name while it is being removed."""
-
-_REMOVED_AT_A_TIME = 2
-"""Folders and files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,19 +115,7 @@ def remove_work(work: Path) -> None:
     shutil.rmtree(removed, ignore_errors=True)
     if work.exists():
         work.rename(removed)
-        # To give back what a file took keeps the system busy, and only one core for each thread.
-        with ThreadPoolExecutor(_REMOVED_AT_A_TIME) as threads:
-            list(threads.map(_remove, removed.iterdir()))
         shutil.rmtree(removed, ignore_errors=True)
-
-
-def _remove(path: Path) -> None:
-    """Remove a file or a folder, as far as that is possible."""
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with suppress(OSError):
-            path.unlink()
 
 
 def stages_begun(root: Path) -> Iterator[tuple[str, int, int]]:

@@ -94,12 +94,12 @@ def threads(folder, number):
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     return TaskReport(0, tuple(counts))
 
-server = forkserver._forkserver._forkserver_pid
+server = command(forkserver._forkserver._forkserver_pid)
 with local_workers(1, 3 << 30) as executor:
     ((_, report),) = executor.run(threads, "", [0])
     other = os.open(".", os.O_RDONLY)
     fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # which neither server nor workers hold
-found = {"server": command(server), "own": command(os.getpid()), "threads": report.counts}
+found = {"server": server, "own": command(os.getpid()), "threads": report.counts}
 found["kept"] = kept()
 print(json.dumps(found))
 """
@@ -112,6 +112,7 @@ def test_workers_are_forked_from_this_process_where_it_has_one_thread(threads, t
     library = {"OPENBLAS_NUM_THREADS": "2"} if threads == "of a library" else {}
     found = said(f"import os\nos.chdir({str(tmp_path)!r})\n{program}", **library)
     assert (found["server"] == found["own"]) == (threads == "none")
+    assert found["server"]
     assert found["kept"] < 75_000_000
     assert set(found["threads"]) == {1}
     assert len(found["threads"]) > 3
@@ -193,3 +194,29 @@ print(json.dumps([*loaded, float(scipy.linalg.norm([3, 4]))]))
 """
     )
     assert found == [bool(before), True, 5.0]
+
+
+def test_the_server_ends_with_its_workers_and_another_takes_its_place():
+    found = said(
+        PREAMBLE
+        + """
+from multiprocessing import forkserver
+from pipeline.tiles.execution import local_workers
+from pipeline.tiles.work import TaskReport
+
+def done(folder, number):
+    return TaskReport(number)
+
+servers = []
+for number in range(3):
+    start_fork_server()
+    servers.append(forkserver._forkserver._forkserver_pid)
+    with local_workers(1, 3 << 30) as executor:
+        assert [report.points for _, report in executor.run(done, "", [number])] == [number]
+until = time.monotonic() + 60
+while set(servers) & set(children()) and time.monotonic() < until:
+    time.sleep(0.01)
+print(json.dumps([len(set(servers)), len(set(servers) & set(children()))]))
+"""
+    )
+    assert found == [3, 0]
