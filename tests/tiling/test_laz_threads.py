@@ -123,6 +123,7 @@ def test_no_more_chunks_than_threads_are_in_work(paths, tmp_path, monkeypatch):
 
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", spy_on_decompression)
     monkeypatch.setattr(lazrs, "ParLasZipCompressor", SpyOnCompression)
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
     everything = np.ones(COUNT, dtype=bool)
     written(open_map(paths["layers"], 3), tmp_path / "out.laz", everything, 100)
     assert len(chunks_at_once) == 2 * -(-COUNT // (3 * CHUNK))
@@ -130,6 +131,9 @@ def test_no_more_chunks_than_threads_are_in_work(paths, tmp_path, monkeypatch):
     chunks_at_once.clear()
     written(open_map(paths["layers"]), tmp_path / "out.laz", everything, 100)
     assert chunks_at_once == []
+    monkeypatch.setattr("os.cpu_count", lambda: 3)  # all of it may be used
+    written(open_map(paths["layers"], 3), tmp_path / "out.laz", everything, 100)
+    assert max(chunks_at_once) == min(24, -(-COUNT // CHUNK)) > 3
 
 
 @pytest.mark.skipif("fork" not in get_all_start_methods(), reason="processes cannot be forked")

@@ -13,7 +13,7 @@ from tiling.formats.las_header import RECORD_LENGTHS, LasHeader
 from tiling.formats.las_summary import LasSummary
 from tiling.formats.las_surroundings import LasSurroundings
 from tiling.formats.laz_header import Compression, own_compression
-from tiling.formats.lazrs_pool import LARGEST_PARALLEL_CHUNK
+from tiling.formats.lazrs_pool import LARGEST_PARALLEL_CHUNK, chunks_at_a_time
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -40,7 +40,7 @@ class LazWriter(MapWriter):
     compression : Compression
         How that file's points are compressed.
     threads : int
-        Chunks to compress at a time, see `lazrs_pool`. The file does not depend on it.
+        That may compress at a time, see `lazrs_pool`. The file does not depend on it.
     """
 
     def __init__(
@@ -123,12 +123,13 @@ class _Chunks:
 
 
 class _ParallelChunks(_Chunks):
-    """Compresses as many chunks of one size at a time as there are threads, see `lazrs_pool`."""
+    """Compresses several chunks of one size at a time, see `lazrs_pool`."""
 
     def __init__(self, file: BinaryIO, vlr: Any, threads: int) -> None:
         super().__init__(lazrs.ParLasZipCompressor(file, vlr))
-        shape = (threads * vlr.chunk_size(), vlr.item_size())
-        self._gathered = np.empty(shape, dtype=np.uint8)
+        points, size = vlr.chunk_size(), vlr.item_size()
+        chunks = chunks_at_a_time(threads, points * size)
+        self._gathered = np.empty((chunks * points, size), dtype=np.uint8)
         self._count = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:

@@ -2,7 +2,7 @@
 
 lazrs hands chunks to a pool of threads that the whole process shares, which is as large as the
 machine, whatever else runs on it. Each chunk of one call goes to one thread: so that no more are
-busy than a caller may use, it never hands over more chunks at once.
+busy than a caller may use, it never hands over more chunks at once, unless it may use all.
 """
 
 import os
@@ -10,6 +10,18 @@ from functools import cache
 
 LARGEST_PARALLEL_CHUNK = 1 << 26
 """Bytes of points in a chunk; longer ones are not held in memory, one for each thread."""
+
+
+_CHUNKS_A_THREAD = 8
+"""Where a caller may use the whole pool: some chunks take longer than others, and the threads wait
+for each other at the end of a call only."""
+
+
+def chunks_at_a_time(threads: int, chunk_bytes: int) -> int:
+    """Return how many chunks of that many bytes of points lazrs is given in one call."""
+    if threads < (os.cpu_count() or 1):
+        return threads
+    return max(threads, min(_CHUNKS_A_THREAD * threads, LARGEST_PARALLEL_CHUNK // chunk_bytes))
 
 
 def usable_threads(threads: int) -> int:
