@@ -138,9 +138,11 @@ def test_stopped_in_the_middle_leaves_nothing(wanted, tmp_path):
     random = np.random.default_rng(0)
     np.save(tmp_path / "big.npy", random.normal(size=(300_000, 3)))
     slow = ["--set", "ground.method=none", "--set", "density.device=reference"]
+    before = signal.signal(wanted, signal.SIG_DFL)  # under `nohup` it is ignored, as it should be
     with subprocess.Popen(
         [*COMMAND, "run", "big.npy", *slow], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     ) as process:
+        signal.signal(wanted, before)
         for line in process.stderr:
             if "density: " in line:
                 break
