@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from concurrent.futures import Future
+from itertools import islice
 from pathlib import Path
 
 import cloudpickle
@@ -205,11 +206,12 @@ class TestSlidingWindow:
 
     def test_tasks_that_take_long_wait_for_a_free_worker(self, client, monkeypatch):
         monkeypatch.setattr(execution, "_LONG", 0.2)
-        held = []
-        for _ in OnDask(client).run(sleeping, "abc", range(6)):
-            held.append(len(client.cluster.scheduler.tasks))
-        assert max(held) <= 3  # two that run, and one that was just done
-        assert held[0] >= 2
+        taken = []
+        numbers = (taken.append(number) or number for number in range(20))
+        done = OnDask(client).run(sleeping, "abc", numbers)
+        for finished, _ in enumerate(islice(done, 6), 1):
+            assert len(taken) == finished + 2  # two that run, and none that waits
+        done.close()
 
     def test_both_workers_work_at_a_time(self, client, monkeypatch):
         barrier = threading.Barrier(2, timeout=20)
