@@ -56,6 +56,9 @@ START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 
 _PRELOADED = "pipeline.tiles.preloaded"
 
+_OF_ARROW = "jemalloc_bg_thd"
+"""What the thread of Arrow's memory pool is called, which is there once Arrow is imported."""
+
 _stopping: list[Thread] = []
 """Wait for the end of an earlier such process, which must not be taken for the next."""
 
@@ -100,9 +103,15 @@ def stop_fork_server() -> None:
 
 
 def has_one_thread() -> bool:
-    """Tell whether a fork of this process would lose none of its threads, libraries' included."""
-    tasks = Path("/proc/self/task")
-    return tasks.is_dir() and len(list(tasks.iterdir())) == 1
+    """Tell whether a fork of this process would lose none of its threads, libraries' included.
+
+    That of Arrow's memory pool does not count: it is made to be begun anew in a fork.
+    """
+    try:
+        names = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
+    except OSError:  # another system, or a thread that is just ending
+        return False
+    return len([name for name in names if name != _OF_ARROW]) == 1
 
 
 def fork(work: Callable[[], None], descriptors: Sequence[int]) -> int:
@@ -121,7 +130,7 @@ def fork(work: Callable[[], None], descriptors: Sequence[int]) -> int:
         Number of the new process.
     """
     with warnings.catch_warnings():
-        # Of a thread of Arrow's memory pool, which is made for that.
+        # Of the thread of Arrow's memory pool.
         warnings.simplefilter("ignore", DeprecationWarning)
         process = os.fork()
     if process:

@@ -1,6 +1,7 @@
 """What workers have at hand as they start; imported by the process that they are forked from."""
 
 import gc
+import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ def _load() -> None:
     # numba looks whether SciPy brings a BLAS for `np.cov`, and nothing else here needs it.
     with _without("scipy.linalg"):
         import_module("dynahull.loading").load_compiled()
+    # Else workers, which take this over, tell how they start and stop.
+    logging.getLogger("distributed").setLevel(logging.ERROR)
     # The first conversion imports pandas, where that is installed.
     import_module("pyarrow").array(np.empty(0))
 

@@ -1,6 +1,7 @@
 """The command line as a user meets it: in a process of its own."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -72,6 +73,17 @@ def test_run_writes_the_results_and_says_what_was_removed(map_file, tmp_path):
     assert "static.npy" in done.stdout
     assert "density: done" in done.stderr
     assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_workers_say_nothing_of_themselves(map_file, tmp_path):
+    done = call(
+        "run", map_file, "--set", "tiling.max_points=300", "--set", "execution.workers=2",
+        "--set", "ground.method=none", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    of_a_run = re.compile(r"\S+ \S+ INFO [a-z]+: ([\d,]+ points|done in [\d.]+ s)")
+    of_others = [line for line in done.stderr.splitlines() if not of_a_run.fullmatch(line)]
+    assert of_others == []
 
 
 def test_info_says_what_a_map_is(map_file):

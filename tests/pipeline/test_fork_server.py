@@ -106,12 +106,14 @@ print(json.dumps(found))
 )
 
 
-@pytest.mark.parametrize("threads", ["none", "of Python", "of a library"])
+@pytest.mark.parametrize("threads", ["none", "of Arrow", "of Python", "of a library"])
 def test_workers_are_forked_from_this_process_where_it_has_one_thread(threads, tmp_path):
     program = WORKERS.replace("sys.argv[-1]", repr("thread" if threads == "of Python" else ""))
+    if threads == "of Arrow":
+        program = program.replace("import fcntl", "import fcntl, pyarrow")
     library = {"OPENBLAS_NUM_THREADS": "2"} if threads == "of a library" else {}
     found = said(f"import os\nos.chdir({str(tmp_path)!r})\n{program}", **library)
-    assert (found["server"] == found["own"]) == (threads == "none")
+    assert (found["server"] == found["own"]) == (threads in ("none", "of Arrow"))
     assert found["server"]
     assert found["kept"] < 75_000_000
     assert set(found["threads"]) == {1}
