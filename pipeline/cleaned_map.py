@@ -1,12 +1,13 @@
 """What a run made of a map, whichever way it was cleaned."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.result import ClusterSummary
-from pipeline.report_page.sample import MapSample
+from pipeline.report_page.page import Views
 from pipeline.report_page.tile_chart import TileWork
 
 
@@ -23,8 +24,8 @@ class CleanedMap:
     counts : dict of str to int
         Points of each label.
     clusters : tuple of ClusterSummary
-    sample : MapSample or None
-        What the report shows; None where none is wanted.
+    views : callable or None
+        Gives what the report shows; None where none is wanted.
     tiles : TileWork or None
         What they took; None where no report is wanted, or the map is one tile.
     """
@@ -34,5 +35,5 @@ class CleanedMap:
     density: NDArray[np.float64] | None
     counts: dict[str, int]
     clusters: tuple[ClusterSummary, ...]
-    sample: MapSample | None = None
+    views: Callable[[], Views] | None = None
     tiles: TileWork | None = None

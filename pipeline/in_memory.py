@@ -1,5 +1,6 @@
 """A map of one tile: cleaned in memory."""
 
+from functools import partial
 from pathlib import Path
 from threading import Thread
 
@@ -11,6 +12,7 @@ from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.machine import available_cores
 from pipeline.outputs import OutputNames
 from pipeline.progress import StageObserver
+from pipeline.report_page.page import Views
 from pipeline.report_page.sample import MapSample
 from pipeline.resources import memory_left
 from pipeline.write_results import write_maps
@@ -36,9 +38,10 @@ def clean_in_memory(
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
-    sample = None
+    views = None
     if configuration.output.report == "html":
         sample = MapSample.of_map(decoded.points, result.labels, result.cluster, result.density)
+        views = partial(Views.of, sample, result.clusters, configuration.removal)
     output = configuration.output
     write_maps(
         collection,
@@ -51,5 +54,5 @@ def clean_in_memory(
         read=decoded.batches,
     )
     return CleanedMap(
-        result.labels, result.cluster, result.density, result.counts(), result.clusters, sample
+        result.labels, result.cluster, result.density, result.counts(), result.clusters, views
     )

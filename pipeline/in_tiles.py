@@ -1,6 +1,7 @@
 """A map of several tiles: cleaned tile by tile by workers."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ from pipeline.cleaned_map import CleanedMap
 from pipeline.outputs import OutputNames
 from pipeline.plan import check_plan
 from pipeline.progress import StageObserver
-from pipeline.tiles.ahead import made_ahead
-from pipeline.tiles.cleaning import clean_tiles
+from pipeline.report_page.page import Views
+from pipeline.tiles.ahead import begun, made_ahead
+from pipeline.tiles.cleaning import TiledResult, clean_tiles
 from pipeline.tiles.fitting import Fit
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
@@ -41,9 +43,9 @@ def clean_in_tiles(
             fit,
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
-        sample, tiles = None, None
+        views, tiles = None, None
         if job.configuration.output.report == "html":
-            sample, tiles = gather_sample(job), tile_work(job)
+            views, tiles = _views(job, result, meanwhile=executor.workers > 1), tile_work(job)
         output = job.configuration.output
         cluster, density = None, None
         if output.needs_scores:
@@ -61,7 +63,16 @@ def clean_in_tiles(
             executor,
             read=_decoded_batches(job, ahead=executor.workers > 1),
         )
-    return CleanedMap(labels, cluster, density, result.counts, result.clusters, sample, tiles)
+    return CleanedMap(labels, cluster, density, result.counts, result.clusters, views, tiles)
+
+
+def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views]:
+    """Return what gives the views of the report.
+
+    They are prepared `meanwhile` where there is a core for it.
+    """
+    views = partial(Views.of, gather_sample(job), result.clusters, job.configuration.removal)
+    return begun(views) if meanwhile else views
 
 
 def _decoded_batches(job: Job, ahead: bool) -> Callable[[int], Iterable[PointBatch]] | None:

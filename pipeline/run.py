@@ -8,7 +8,7 @@ What takes long to import is imported where it is used: it is known only then wh
 this machine are needed, who have it from this process, or from one that imports it beside this one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -31,7 +31,6 @@ from pipeline.outputs import (
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
 from pipeline.report_page.page import Views, render_page
-from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import TileWork
 from pipeline.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.tiles.fitting import fitting
@@ -135,8 +134,8 @@ def run(
             observer,
         )
         (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
-        if cleaned.sample is not None:
-            report = _write_page(staging, report, cleaned.sample, cleaned.tiles, observer)
+        if cleaned.views is not None:
+            report = _write_page(staging, report, cleaned.views, cleaned.tiles, observer)
         (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     if not configuration.output.keep_work:
         remove_work(work)
@@ -146,17 +145,17 @@ def run(
 def _write_page(
     staging: Path,
     report: RunReport,
-    sample: MapSample,
+    views: Callable[[], Views],
     tiles: TileWork | None,
     observer: StageObserver,
 ) -> RunReport:
     """Write the report to look at; return that of `run.json`, which knows how long it took."""
-    observer.stage("report", len(sample))
-    views = Views.of(report, sample)
-    observer.advance(len(sample))
+    observer.stage("report", report.points)
+    prepared = views()
+    observer.advance(report.points)
     observer.finish()
     report = report.with_seconds(observer)
-    (staging / REPORT_FILE).write_text(render_page(report, views, tiles), encoding="utf-8")
+    (staging / REPORT_FILE).write_text(render_page(report, prepared, tiles), encoding="utf-8")
     return report
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.compiled import compiled
-from tiling.morton import morton_before, morton_order, parting_bits
+from tiling.morton import morton_before, morton_order
 from tiling.occupancy import FARTHEST, Occupancy, count_within
 
 NO_TILE = -1
@@ -31,6 +31,7 @@ _HALOS_WIDE = 2
 
 Columns = NDArray[np.int64]
 Corners = NDArray[np.float64]
+_Places = NDArray[np.intp]
 _Flags = NDArray[np.bool_]
 
 
@@ -183,72 +184,81 @@ def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout
         nothing = np.empty((0, 2), np.int64)
         return Layout(occupancy.cell, np.zeros(2, np.int64), nothing, nothing, nothing[:, 0])
     origin = occupancy.columns.min(axis=0)
-    order = morton_order(occupancy.columns - origin)
-    columns, counts = occupancy.columns.take(order, axis=0), occupancy.counts.take(order)
-    parting = parting_bits(columns - origin)
+    from_origin = occupancy.columns - origin
+    order = morton_order(from_origin)
+    from_origin, counts = from_origin.take(order, axis=0), occupancy.counts.take(order)
+    points_before = np.append(0, np.cumsum(counts))
 
-    def too_large(places: NDArray[np.intp], starts: NDArray[np.intp], bit: int) -> _Flags:
-        """Tell which nodes, runs of some of the columns, must be cut."""
-        totals, begins, ends = _gathered(columns, counts, places, starts)
-        large = totals > max_points
+    def too_large(starts: _Places, ends: _Places, bit: int) -> _Flags:
+        """Tell which nodes, runs of columns, must be cut."""
+        large = points_before[ends] - points_before[starts] > max_points
         if 2 ** ((bit + 1) // 2) * occupancy.cell > _HALOS_WIDE * halo:
             small = np.flatnonzero(~large)
             low, high = (
-                np.asarray(edge[small] * occupancy.cell, np.float64) for edge in (begins, ends)
+                np.asarray((origin + edge) * occupancy.cell, np.float64)
+                for edge in _boxes(from_origin, starts[small], ends[small])
             )
             held = count_within(occupancy, low - halo, high + halo)
             large[small] = held > MOST_HELD * max_points
-        return large & (bit > 0)
+        return np.asarray(large & (bit > 0))
 
-    starts = _leaf_starts(parting, too_large)
-    totals, begins, ends = _gathered(columns, counts, np.arange(len(columns)), starts)
-    return Layout(occupancy.cell, origin, begins, ends, totals)
+    starts = _leaf_starts(from_origin, too_large)
+    ends = np.append(starts[1:], len(from_origin))
+    low, high = _boxes(from_origin, starts, ends)
+    totals = points_before[ends] - points_before[starts]
+    return Layout(occupancy.cell, origin, origin + low, origin + high, totals)
 
 
-def _leaf_starts(
-    parting: NDArray[np.int64],
-    too_large: Callable[[NDArray[np.intp], NDArray[np.intp], int], _Flags],
-) -> NDArray[np.intp]:
+def _leaf_starts(columns: Columns, too_large: Callable[[_Places, _Places, int], _Flags]) -> _Places:
     """Return where each leaf begins in columns in Morton order: a node is a run of them.
 
-    Columns are in one node of the tree as long as their places on the curve agree in all bits from
-    a certain one on; `parting` is the highest in which each differs from the one before it.
+    Those of a node agree in all bits of their place on the curve from a certain one on; to cut it
+    is to look where the next lower bit changes.
     """
-    leaves: list[NDArray[np.intp]] = []
-    places = np.arange(len(parting))
-    for bit in range(int(parting.max(initial=-1)) + 1, -1, -1):
-        first = parting[places] >= bit
-        first[0] = True
-        starts = np.flatnonzero(first)
-        ends = ~too_large(places, starts, bit)
-        leaves.append(places[starts[ends]])
-        places = places[~ends[np.cumsum(first) - 1]]
-        if not len(places):
+    leaves: list[_Places] = []
+    starts, ends = np.array([0]), np.array([len(columns)])
+    for bit in range(2 * int(columns.max()).bit_length(), -1, -1):
+        cut = too_large(starts, ends, bit)
+        leaves.append(starts[~cut])
+        starts, ends = starts[cut], ends[cut]
+        if not len(starts):
             break
+        middles = _second_halves(columns, starts, ends, (bit - 1) // 2, bit % 2)
+        starts, ends = np.append(starts, middles), np.append(middles, ends)
+        starts, ends = starts[starts < ends], ends[starts < ends]
     return np.sort(np.concatenate(leaves))
 
 
 @compiled
-def _gathered(
-    columns: Columns,
-    counts: NDArray[np.int64],
-    places: NDArray[np.intp],
-    starts: NDArray[np.intp],
-) -> tuple[NDArray[np.int64], Columns, Columns]:
-    """Return the points of each run of places, and the smallest box (begin, end) of its columns."""
-    totals = np.zeros(len(starts), np.int64)
-    begins, ends = np.empty((len(starts), 2), np.int64), np.empty((len(starts), 2), np.int64)
+def _second_halves(
+    columns: Columns, starts: _Places, ends: _Places, bit: int, axis: int
+) -> _Places:
+    """Return where in each run the columns begin that have a bit set, which come last."""
+    middles = np.empty(len(starts), np.intp)
+    for node in range(len(starts)):
+        low, high = starts[node], ends[node]
+        while low < high:
+            middle = (low + high) // 2
+            if columns[middle, axis] >> bit & 1:
+                high = middle
+            else:
+                low = middle + 1
+        middles[node] = low
+    return middles
+
+
+@compiled
+def _boxes(columns: Columns, starts: _Places, ends: _Places) -> tuple[Columns, Columns]:
+    """Return the smallest box (begin, end) of the columns of each run."""
+    begins, limits = np.empty((len(starts), 2), np.int64), np.empty((len(starts), 2), np.int64)
     for run in range(len(starts)):
-        end = starts[run + 1] if run + 1 < len(starts) else len(places)
-        begins[run] = columns[places[starts[run]]]
-        ends[run] = begins[run] + 1
-        for at in range(starts[run], end):
-            place = places[at]
-            totals[run] += counts[place]
+        begins[run] = columns[starts[run]]
+        limits[run] = begins[run] + 1
+        for place in range(starts[run], ends[run]):
             for axis in range(2):
                 begins[run, axis] = min(begins[run, axis], columns[place, axis])
-                ends[run, axis] = max(ends[run, axis], columns[place, axis] + 1)
-    return totals, begins, ends
+                limits[run, axis] = max(limits[run, axis], columns[place, axis] + 1)
+    return begins, limits
 
 
 @compiled

@@ -4,8 +4,6 @@ The order is that of the bits of x and y taken in turn, from the highest, those 
 node of a quadtree over the lattice is one run of it.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,25 +40,6 @@ def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.lexsort((low, _interleaved(columns >> _HALF)))
 
 
-def parting_bits(columns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return in which bit of their place on the curve columns part from the one before.
-
-    Parameters
-    ----------
-    columns : (n, 2) int64 array
-        In their order along the curve, each once, from 0 to 2^53.
-
-    Returns
-    -------
-    (n,) int64 array
-        The highest bit that differs: 2 b for bit b of y, and 2 b + 1 for that of x; -1 for the
-        first column.
-    """
-    parting = np.full(len(columns), -1)
-    _part(columns, parting)
-    return parting
-
-
 def _interleaved(columns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the bits of x and y, below 2^31, in turn."""
     return _spread(columns[:, 0]) << 1 | _spread(columns[:, 1])
@@ -71,16 +50,6 @@ def _spread(bits: NDArray[np.int64]) -> NDArray[np.int64]:
     for shift, mask in _SPREADS:
         bits = (bits | bits << shift) & mask
     return bits
-
-
-@compiled
-def _part(columns: NDArray[np.int64], parting: NDArray[np.int64]) -> None:
-    """Fill in `parting_bits` of all columns but the first."""
-    for at in range(1, len(columns)):
-        for axis in range(2):
-            # The exponent of an integer is one more than its highest bit; that of zero is zero.
-            exponent = math.frexp(float(columns[at, axis] ^ columns[at - 1, axis]))[1]
-            parting[at] = max(parting[at], 2 * exponent - 1 - axis)
 
 
 @compiled

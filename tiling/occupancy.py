@@ -85,6 +85,30 @@ def count_within(
     return np.asarray(_sums_within(occupancy.columns, totals, begins, ends))
 
 
+def combined(first: Occupancy, second: Occupancy) -> Occupancy:
+    """Return the counts of two parts of a map together, gone through once in their order."""
+    cell = max(first.cell, second.cell)
+    while True:
+        first, second = _coarsened(first, cell), _coarsened(second, cell)
+        room = len(first.counts) + len(second.counts)
+        columns, counts = np.empty((room, 2), np.int64), np.empty(room, np.int64)
+        occupied = _merge_columns(
+            first.columns, first.counts, second.columns, second.counts, columns, counts
+        )
+        if occupied <= MOST_COLUMNS:
+            return Occupancy(cell, columns[:occupied], counts[:occupied])
+        cell *= 2
+
+
+def _coarsened(occupancy: Occupancy, cell: float) -> Occupancy:
+    """Return the counts on a lattice whose cells are so many times as wide."""
+    if occupancy.cell == cell:
+        return occupancy
+    counter = ColumnCounter(cell)
+    counter.add(occupancy)
+    return counter.occupancy()
+
+
 def _first_columns(edge: NDArray[np.float64], cell: float) -> Columns:
     """Return the first column whose middle is at an edge or after it."""
     # The middle is half a cell from where the column begins.
@@ -103,8 +127,8 @@ class ColumnCounter:
         Side of a column at present, metres.
     """
 
-    def __init__(self) -> None:
-        self.cell = FINEST_CELL
+    def __init__(self, cell: float = FINEST_CELL) -> None:
+        self.cell = cell
         self._occupied = 0
         self._make_room(_FIRST_CAPACITY)
 
@@ -121,14 +145,7 @@ class ColumnCounter:
             self._extend()
 
     def add(self, occupancy: Occupancy) -> None:
-        """Count the points of an occupancy."""
-        while self.cell < occupancy.cell:
-            self._coarsen()
-        capacity = len(self._counts)
-        while capacity // 2 < min(self._occupied + len(occupancy.columns), MOST_COLUMNS):
-            capacity *= 2
-        if capacity > len(self._counts):
-            self._rebuild(capacity, self.cell)
+        """Count the points of an occupancy whose cells are no wider."""
         self._add_columns(occupancy.columns, occupancy.counts, occupancy.cell)
 
     def occupancy(self) -> Occupancy:
@@ -259,6 +276,39 @@ def _count_columns(
             occupied += 1
         counts[slot] += added_counts[number]
     return len(added), occupied
+
+
+@compiled
+def _merge_columns(
+    first: Columns,
+    first_counts: NDArray[np.int64],
+    second: Columns,
+    second_counts: NDArray[np.int64],
+    columns: Columns,
+    counts: NDArray[np.int64],
+) -> int:
+    """Merge columns in lexicographic order, and return how many there are, equal ones added."""
+    one, other, occupied = 0, 0, 0
+    while one < len(first) or other < len(second):
+        if other == len(second):
+            order = -1
+        elif one == len(first):
+            order = 1
+        else:
+            order = first[one, 0] - second[other, 0]
+            if order == 0:
+                order = first[one, 1] - second[other, 1]
+        counts[occupied] = 0
+        if order <= 0:
+            columns[occupied, 0], columns[occupied, 1] = first[one, 0], first[one, 1]
+            counts[occupied] += first_counts[one]
+            one += 1
+        if order >= 0:
+            columns[occupied, 0], columns[occupied, 1] = second[other, 0], second[other, 1]
+            counts[occupied] += second_counts[other]
+            other += 1
+        occupied += 1
+    return occupied
 
 
 @compiled

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tiling.formats.base import PointBatch
 from tiling.formats.collection import MapCollection
 from tiling.formats.compiled import compiled
-from tiling.occupancy import ColumnCounter, Occupancy
+from tiling.occupancy import ColumnCounter, Occupancy, combined
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,16 +102,15 @@ def survey_batches(batches: Iterable[PointBatch]) -> Survey:
 
 def merge(parts: Iterable[Survey]) -> Survey:
     """Return the survey of several parts of a map together, in any order."""
-    points = finite = 0
-    bounds = _no_bounds()
-    counter = ColumnCounter()
+    whole = survey_batches([])
+    points, finite, occupancy = whole.point_count, whole.finite_count, whole.occupancy
     for part in parts:
         points += part.point_count
         finite += part.finite_count
-        np.minimum(bounds[0], part.minimum, out=bounds[0])
-        np.maximum(bounds[1], part.maximum, out=bounds[1])
-        counter.add(part.occupancy)
-    return Survey(points, finite, bounds[0], bounds[1], counter.occupancy())
+        np.minimum(whole.minimum, part.minimum, out=whole.minimum)
+        np.maximum(whole.maximum, part.maximum, out=whole.maximum)
+        occupancy = combined(occupancy, part.occupancy)
+    return Survey(points, finite, whole.minimum, whole.maximum, occupancy)
 
 
 def _no_bounds() -> NDArray[np.float64]:

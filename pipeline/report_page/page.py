@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -9,8 +10,10 @@ from typing import Any, Self
 
 import yaml
 
+from dynahull.parameters import RemovalParameters
+from dynahull.result import ClusterSummary
 from pipeline.quantities import in_time, in_units
-from pipeline.report import RunReport
+from pipeline.report import ClusterReport, RunReport
 from pipeline.report_page.amounts import TABLE_STEP, Amounts, removal_amounts
 from pipeline.report_page.charts import (
     MOST_HISTOGRAMS,
@@ -56,10 +59,13 @@ class Views:
     densities: str
 
     @classmethod
-    def of(cls, report: RunReport, sample: MapSample) -> Self:
-        """Prepare the views of a run."""
-        amounts = removal_amounts(sample, report.clusters, report.configuration["removal"])
-        densities = _densities(sample, report, amounts)
+    def of(
+        cls, sample: MapSample, summaries: Sequence[ClusterSummary], removal: RemovalParameters
+    ) -> Self:
+        """Prepare the views of a run, from its sample, its clusters and how they were cut."""
+        clusters = [ClusterReport.of(summary) for summary in summaries]
+        amounts = removal_amounts(sample, clusters, removal.model_dump())
+        densities = _densities(sample, clusters, amounts)
         return cls(sample, amounts, encode(sample, amounts), densities)
 
 
@@ -215,12 +221,12 @@ def _cluster_table(report: RunReport) -> str:
     )
 
 
-def _densities(sample: MapSample, report: RunReport, amounts: Amounts) -> str:
-    charts = density_charts(sample, report.clusters, amounts)
+def _densities(sample: MapSample, clusters: Sequence[ClusterReport], amounts: Amounts) -> str:
+    charts = density_charts(sample, clusters, amounts)
     if not charts:
         return "<p>No point was scored.</p>"
     figures = "".join(f"<figure>{chart}</figure>" for chart in charts)
-    populated = sum(1 for cluster in report.clusters if cluster.count)
+    populated = sum(1 for cluster in clusters if cluster.count)
     return f'<div class="charts">{figures}</div>' + _more(populated, MOST_HISTOGRAMS, "clusters")
 
 

@@ -1,10 +1,18 @@
-"""A stream whose next item is made while the present one is used."""
+"""What is made by a thread while this one does something else."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 _Item = TypeVar("_Item")
+
+
+def begun(make: Callable[[], _Item]) -> Callable[[], _Item]:
+    """Let a thread make something, and return what gives it, or raises what that raised."""
+    thread = ThreadPoolExecutor(1)
+    coming = thread.submit(make)
+    thread.shutdown(wait=False)
+    return coming.result
 
 
 def made_ahead(items: Iterable[_Item]) -> Iterator[_Item]:

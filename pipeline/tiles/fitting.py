@@ -29,6 +29,9 @@ Fit = Callable[[NDArray[np.float64], ClusteringParameters], Clusters]
 
 _LIBRARY = "sklearn.cluster"
 
+_LESS_URGENT = 5
+"""By how much the priority of that process is lower: what it does is not needed at once."""
+
 
 @contextmanager
 def fitting(configuration: Configuration) -> Iterator[Fit]:
@@ -66,6 +69,7 @@ def _process() -> Iterator["Connection[Any, Any]"]:
 
 def _serve(connection: "Connection[Any, Any]") -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who waits for this process
+    os.nice(_LESS_URGENT)
     import_module(_LIBRARY)
     with suppress(EOFError):  # nothing to fit
         connection.send(fit_clusters(*connection.recv()).centroids)

@@ -1,10 +1,10 @@
-"""A stream whose next item is made while the present one is used."""
+"""What is made while something else is done."""
 
 import threading
 
 import pytest
 
-from pipeline.tiles.ahead import made_ahead
+from pipeline.tiles.ahead import begun, made_ahead
 
 
 @pytest.mark.parametrize("items", [[], [None], [0, None, False, 3], list(range(100))])
@@ -36,3 +36,24 @@ def test_an_error_comes_in_its_place():
     with pytest.raises(ValueError, match="damaged"):
         next(stream)
     assert list(stream) == []
+
+
+def test_a_value_is_made_before_it_is_asked_for():
+    made = threading.Event()
+
+    def make():
+        made.set()
+        return 5
+
+    value = begun(make)
+    assert made.wait(timeout=60)
+    assert (value(), value()) == (5, 5)
+
+
+def test_the_error_of_a_value_comes_when_it_is_asked_for():
+    def make():
+        raise ValueError("damaged")
+
+    value = begun(make)
+    with pytest.raises(ValueError, match="damaged"):
+        value()

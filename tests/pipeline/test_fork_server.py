@@ -127,6 +127,9 @@ def test_clusters_are_fitted_by_another_process_and_by_this_one_if_that_is_kille
         + f"""
 with fitting(configuration) as fit:
     pids = children()
+    less_urgent = min(os.getpriority(os.PRIO_PROCESS, 0) + 5, 19)
+    while os.getpriority(os.PRIO_PROCESS, pids[0]) != less_urgent:
+        time.sleep(0.01)
     {fate}
     found = fit(sample, configuration.clustering).centroids
 here = "sklearn" in sys.modules

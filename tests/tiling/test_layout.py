@@ -1,14 +1,12 @@
 """Every finite point lies in exactly one tile, and no tile holds too many."""
 
-from itertools import pairwise
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.formats import PointBatch
 from tiling.layout import MOST_HELD, NO_TILE, Layout, quadtree
-from tiling.morton import morton_before, morton_order, parting_bits
+from tiling.morton import morton_before, morton_order
 from tiling.occupancy import columns_of, count_within
 from tiling.survey import survey_batches
 
@@ -179,14 +177,3 @@ def test_the_z_curve_takes_the_bits_in_turn(columns):
         for second in columns:
             before = morton_before(*map(np.int64, (*first, *second)))
             assert before == (key(*first) < key(*second))
-
-
-@given(st.lists(st.tuples(*[st.integers(0, 2**42)] * 2), min_size=1, max_size=20, unique=True))
-def test_columns_part_at_a_bit_of_the_z_curve(columns):
-    def place(x, y):
-        return int("".join(a + b for a, b in zip(f"{x:050b}", f"{y:050b}", strict=True)), 2)
-
-    columns = sorted(columns, key=lambda column: place(*column))
-    places = [place(*column) for column in columns]
-    expected = [-1] + [(a ^ b).bit_length() - 1 for a, b in pairwise(places)]
-    assert parting_bits(np.array(columns, dtype=np.int64)).tolist() == expected
