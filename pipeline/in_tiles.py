@@ -11,7 +11,7 @@ from pipeline.outputs import OutputNames
 from pipeline.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.tiles.ahead import begun, made_ahead
+from pipeline.tiles.ahead import begun
 from pipeline.tiles.cleaning import TiledResult, clean_tiles
 from pipeline.tiles.fitting import Fit
 from pipeline.tiles.job import Job
@@ -61,7 +61,7 @@ def clean_in_tiles(
             observer,
             job,
             executor,
-            read=_decoded_batches(job, ahead=executor.workers > 1),
+            read=_decoded_batches(job),
         )
     return CleanedMap(labels, cluster, density, result.counts, result.clusters, views, tiles)
 
@@ -75,14 +75,9 @@ def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views
     return begun(views) if meanwhile else views
 
 
-def _decoded_batches(job: Job, ahead: bool) -> Callable[[int], Iterable[PointBatch]] | None:
-    """Return what gives the points of a file of the map, where their records were kept.
-
-    It reads `ahead` where there is a core for it.
-    """
+def _decoded_batches(job: Job) -> Callable[[int], Iterable[PointBatch]] | None:
+    """Return what gives the points of a file of the map, where their records were kept."""
     decoded = job.decoded
     if decoded is None or not decoded.has_records:
         return None
-    if ahead:
-        return lambda file: made_ahead(decoded.batches_of(file, BATCH))
     return lambda file: decoded.batches_of(file, BATCH)

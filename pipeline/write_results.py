@@ -51,7 +51,8 @@ def write_maps(
     folder : Path
     observer : StageObserver
     job, executor : Job and Executor, optional
-        Files whose records are of one size are then written by several workers.
+        Files whose records are of one size are then written by several workers, and of others
+        points are read and selected while those before are written.
     read : callable, optional
         Gives the points of a file of the map, `BATCH` at a time; otherwise it is read again.
 
@@ -78,6 +79,7 @@ def write_maps(
         for index in in_parts:
             for grown, place in zip(growing[index], outputs[index], strict=True):
                 grown.replace(place)
+    ahead = executor is not None and executor.workers > 1
     streams = [index for index in range(len(outputs)) if index not in set(in_parts)]
     first_rows = [*collection.first_rows, collection.point_count]
     observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
@@ -86,6 +88,6 @@ def write_maps(
         densities = None if density is None else density[rows]
         mode = mode_of(collection.readers[index], output, labels[rows], densities)
         batches = mode.reader.batches(BATCH) if read is None else read(index)
-        write_stream(mode, batches, outputs[index], observer.advance)
+        write_stream(mode, batches, outputs[index], observer.advance, ahead)
     for reader, of_file in zip(collection.readers, outputs, strict=True):
         check_written(reader, of_file)

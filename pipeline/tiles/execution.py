@@ -226,6 +226,9 @@ def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
         "distributed.admin.system-monitor.interval": "10s",
         "distributed.admin.system-monitor.disk": False,
         "distributed.worker.memory.monitor-interval": "250ms",
+        # What the ports below would show: nothing.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
         "distributed.comm.timeouts.connect": "60s",
     }
     stack.enter_context(dask.config.set(settings))

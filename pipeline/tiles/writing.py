@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.errors import LostPointsError
 from pipeline.output_modes import OutputMode, mode_of
+from pipeline.tiles.ahead import made_ahead
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
@@ -70,6 +71,7 @@ def write_stream(
     batches: Iterable[PointBatch],
     outputs: Sequence[Path],
     advance: Callable[[int], None],
+    ahead: bool,
 ) -> None:
     """Write the outputs of one file of the map.
 
@@ -83,6 +85,8 @@ def write_stream(
         To be written.
     advance : callable
         Told of points done.
+    ahead : bool
+        Whether there is a core to read and select points while those before are written.
     """
     counts = mode.counts(range(mode.reader.description.point_count))
     with ExitStack() as stack:
@@ -90,10 +94,11 @@ def write_stream(
             stack.enter_context(each.writer(path, count))
             for each, path, count in zip(mode.formats, outputs, counts, strict=True)
         ]
-        for batch in batches:
-            for writer, records in zip(writers, mode.records(batch), strict=True):
-                writer.write(records)
-            advance(len(batch.xyz))
+        selected = ((len(batch.xyz), mode.records(batch)) for batch in batches)
+        for points, records in made_ahead(selected) if ahead else selected:
+            for writer, of_output in zip(writers, records, strict=True):
+                writer.write(of_output)
+            advance(points)
 
 
 def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
