@@ -3,8 +3,10 @@
     python -m benchmarks.tiled_run [MAP] [--rounds 3] [--max-points 1000000]
 
 Runs the whole command in turn, in processes of their own: the map as one tile with two threads, in
-tiles with two workers, and in tiles with one worker. Prints medians of the wall times and their
-ratios. Asked: tiles at most 1.15 times one tile, and two workers at least 1.8 times one.
+tiles with two workers, and in tiles with one worker. Prints medians of the wall times, and of the
+ratios within a round, as machines change their speed from one to the next. Asked: tiles at most
+1.15 times one tile, and two workers at least 1.8 times one. Each round ends with what the machine
+itself gives for a second core, measured on density kernels in processes that share nothing.
 """
 
 import argparse
@@ -15,8 +17,11 @@ from datetime import date
 from pathlib import Path
 from statistics import median
 
-from benchmarks.density import machine
+from benchmarks.density import machine, two_processes
 from benchmarks.whole_run import COMMAND, ONE_TILE
+
+_POINTS_ALONE = 500_000
+"""Points whose densities a process that shares nothing finds."""
 
 
 def main() -> None:
@@ -34,13 +39,19 @@ def main() -> None:
         "tiles, two workers": [*tiles, "--set", "execution.workers=2"],
         "tiles, one worker": [*tiles, "--set", "execution.workers=1"],
     }
-    times: dict[str, list[float]] = {kind: [] for kind in kinds}
+    rounds = []
     for _ in range(arguments.rounds):
+        times = []
         for kind, settings in kinds.items():
-            times[kind].append(seconds(arguments.map, settings))
-            print(f"  {kind:<22} {times[kind][-1]:6.1f} s", flush=True)
-    whole, two, one = (median(values) for values in times.values())
-    print(f"tiles: {two / whole:.2f}x one tile; two workers: {one / two:.2f}x one")
+            times.append(seconds(arguments.map, settings))
+            print(f"  {kind:<22} {times[-1]:6.1f} s", flush=True)
+        whole, two, one = times
+        rounds.append((*times, two / whole, one / two, two_processes(_POINTS_ALONE, 1)))
+        print("  {:.2f}x one tile; {:.2f}x one worker; machine {:.2f}x".format(*rounds[-1][3:]))
+    whole, two, one, tiles, workers, alone = (median(each) for each in zip(*rounds, strict=True))
+    print(f"one tile {whole:.1f} s, two workers {two:.1f} s, one worker {one:.1f} s")
+    print(f"tiles: {tiles:.2f}x one tile; two workers: {workers:.2f}x one")
+    print(f"two processes that share nothing: {alone:.2f}x one")
 
 
 def seconds(path: Path, settings: list[str]) -> float:
