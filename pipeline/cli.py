@@ -1,5 +1,6 @@
 """The command line. Heavy imports live inside the commands, so that `--help` answers at once."""
 
+import atexit
 import gc
 import logging
 import os
@@ -269,6 +270,7 @@ def leave_at_once() -> NoReturn:
     """Run the command line in a process of its own.
 
     Python takes half a second to take itself down with all libraries loaded; the system takes none.
+    What libraries have to do at the end, such as to remove their temporary files, they do.
     """
     # Imports make many objects and no garbage; to look for it takes a tenth of their time.
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
@@ -276,8 +278,8 @@ def leave_at_once() -> NoReturn:
         main()
     except SystemExit as ended:
         sys.stdout.flush()
-        logging.shutdown()
         if isinstance(ended.code, int):
+            atexit._run_exitfuncs()
             os._exit(ended.code)
         raise
 

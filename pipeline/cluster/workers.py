@@ -30,6 +30,9 @@ _ALLOWED_FAILURES = 10
 
 _LOOPBACK = "127.0.0.1:0"
 
+_SECRETS = ("_job_ca_file", "_job_cert", "_job_key")
+"""Where dask-jobqueue's cluster has the temporary files of the keys that were made for it."""
+
 JOB_ENVIRONMENT = {
     **ONE_THREAD,
     "DASK_DISTRIBUTED__WORKER__MEMORY__TARGET": "False",
@@ -132,7 +135,7 @@ def cluster_workers(
     with (
         dask.config.set(settings),
         _quiet_dask(),
-        make_cluster(system, parameters, output) as cluster,
+        _cluster(system, parameters, output) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         if parameters.dashboard is not None:
@@ -213,15 +216,16 @@ def check_folder(output: Path) -> None:
         )
 
 
-def make_cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -> Any:
-    """Return dask-jobqueue's cluster with a scheduler in this process and no workers yet."""
+@contextmanager
+def _cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -> Iterator[Any]:
+    """Open dask-jobqueue's cluster with a scheduler in this process and no workers yet."""
     job = worker_job(parameters, output)
     shared = cluster_folder(output)
     shared.mkdir(parents=True, exist_ok=True)
     options: dict[str, Any] = {"dashboard_address": parameters.dashboard or _LOOPBACK}
     if parameters.scheduler_interface is not None:
         options["interface"] = parameters.scheduler_interface
-    return cluster_class(system)(
+    cluster = cluster_class(system)(
         n_workers=0,
         security=cluster_security(parameters.tls),
         shared_temp_directory=str(shared.resolve()),
@@ -229,6 +233,14 @@ def make_cluster(system: BatchSystem, parameters: ClusterParameters, output: Pat
         silence_logs=50,
         **worker_keywords(system, parameters, job),
     )
+    try:
+        with cluster:
+            yield cluster
+    finally:
+        # Keys that were made for this run lie in files that go with the object, whenever that is.
+        for name in _SECRETS:
+            if hasattr(cluster, name):
+                getattr(cluster, name).close()
 
 
 def worker_job(parameters: ClusterParameters, output: Path) -> JobDescription:

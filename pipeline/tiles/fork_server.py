@@ -8,6 +8,7 @@ a single thread: what both need is then imported once, and lies once in memory. 
 anew as well, and imports while this one goes on.
 """
 
+import atexit
 import ctypes
 import multiprocessing
 import os
@@ -100,6 +101,7 @@ def stop_fork_server() -> None:
     server: Any = forkserver._forkserver  # there is no public way
     _stopping.append(Thread(target=server._stop))
     _stopping[-1].start()
+    atexit.register(_stopping[-1].join)  # it removes what multiprocessing removes the folder of
 
 
 def has_one_thread() -> bool:

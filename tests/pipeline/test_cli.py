@@ -1,11 +1,14 @@
 """The command line as a user meets it: in a process of its own."""
 
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
+import tempfile
 from importlib.metadata import version
+from pathlib import Path
 from time import monotonic
 
 import numpy as np
@@ -75,11 +78,17 @@ def test_run_writes_the_results_and_says_what_was_removed(map_file, tmp_path):
     assert "\x1b" not in done.stdout + done.stderr
 
 
-def test_workers_say_nothing_of_themselves(map_file, tmp_path):
-    done = call(
-        "run", map_file, "--set", "tiling.max_points=300", "--set", "execution.workers=2",
-        "--set", "ground.method=none", cwd=tmp_path,
-    )  # fmt: skip
+def test_workers_say_nothing_of_themselves_and_leave_no_folders(map_file, tmp_path):
+    # The names of sockets that lie in it must not be long.
+    with tempfile.TemporaryDirectory() as temporary:
+        done = call(
+            "run", map_file, "--set", "tiling.max_points=300", "--set", "execution.workers=2",
+            "--set", "ground.method=none", cwd=tmp_path, env=os.environ | {"TMPDIR": temporary},
+        )  # fmt: skip
+        left = {path.name for path in Path(temporary).iterdir()}
+        assert left == {"dask-scratch-space"}
+        locks = {path.name for path in Path(temporary, "dask-scratch-space").iterdir()}
+        assert locks <= {"global.lock", "purge.lock"}
     assert done.returncode == 0, done.stderr
     of_a_run = re.compile(r"\S+ \S+ INFO [a-z]+: ([\d,]+ points|done in [\d.]+ s)")
     of_others = [line for line in done.stderr.splitlines() if not of_a_run.fullmatch(line)]
