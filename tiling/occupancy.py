@@ -101,7 +101,7 @@ def combined(first: Occupancy, second: Occupancy) -> Occupancy:
 
 
 def _coarsened(occupancy: Occupancy, cell: float) -> Occupancy:
-    """Return the counts on a lattice whose cells are so many times as wide."""
+    """Return the counts on a lattice of cells that are as wide, or wider."""
     if occupancy.cell == cell:
         return occupancy
     counter = ColumnCounter(cell)
