@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled
+from tiling.formats.compiled import compiled, helper
 from tiling.morton import morton_before, morton_order
 from tiling.occupancy import FARTHEST, Occupancy, count_within
 
@@ -285,18 +285,18 @@ def _find_tiles(
         if column_x < origin[0] or column_y < origin[1]:
             continue
         # Points come in runs of one tile.
-        if not _is_within(column_x, column_y, begins[tile], ends[tile]):
+        if not _is_within(column_x, column_y, begins, ends, tile):
             tile = _last_begun(column_x, column_y, origin, begins)
-        if _is_within(column_x, column_y, begins[tile], ends[tile]):
+        if _is_within(column_x, column_y, begins, ends, tile):
             tiles[point] = tile
 
 
-@compiled
-def _is_within(x: np.int64, y: np.int64, begin: Columns, end: Columns) -> bool:
-    return bool(begin[0] <= x < end[0] and begin[1] <= y < end[1])
+@helper
+def _is_within(x: np.int64, y: np.int64, begins: Columns, ends: Columns, tile: int) -> bool:
+    return bool(begins[tile, 0] <= x < ends[tile, 0] and begins[tile, 1] <= y < ends[tile, 1])
 
 
-@compiled
+@helper
 def _last_begun(x: np.int64, y: np.int64, origin: Columns, begins: Columns) -> int:
     """Return the last tile that does not begin after a column; the first if all do."""
     low, high = 0, len(begins)

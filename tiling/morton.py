@@ -7,7 +7,7 @@ node of a quadtree over the lattice is one run of it.
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled
+from tiling.formats.compiled import helper
 from tiling.ordering import ascending_order
 
 _HALF = 31
@@ -52,7 +52,7 @@ def _spread(bits: NDArray[np.int64]) -> NDArray[np.int64]:
     return bits
 
 
-@compiled
+@helper
 def morton_before(x: np.int64, y: np.int64, other_x: np.int64, other_y: np.int64) -> bool:
     """Tell whether a column comes before another: the highest bit that differs decides.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled
+from tiling.formats.compiled import compiled, helper
 from tiling.ordering import ascending_order
 
 FINEST_CELL = 0.25
@@ -209,7 +209,7 @@ def _lexicographic_order(columns: Columns) -> NDArray[np.intp]:
     return ascending_order((x - x.min()) * in_line + (y - y.min()))
 
 
-@compiled
+@helper
 def _slot_of(x: np.int64, y: np.int64, columns: Columns, counts: NDArray[np.int64]) -> np.int64:
     """Return the slot of a column in a hash table with open addressing, or where it may go."""
     mixed = x * _FIRST_MULTIPLIER ^ y * _SECOND_MULTIPLIER
@@ -332,7 +332,7 @@ def _sums_within(
     return sums
 
 
-@compiled
+@helper
 def _first_from(columns: Columns, x: np.int64, y: np.int64) -> int:
     """Return the first column at or after (x, y) in lexicographic order."""
     low, high = 0, len(columns)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled
+from tiling.formats.compiled import compiled, helper
 from tiling.layout import NO_TILE, Layout
 
 Points = NDArray[np.float64]
@@ -90,7 +90,7 @@ class TileSorter:
         return np.asarray(near[near != tile], np.int64)
 
 
-@compiled
+@helper
 def _is_inside(x: float, y: float, boxes: Boxes, tile: int) -> bool:
     low, high = boxes
     along_x = low[tile, 0] <= x < high[tile, 0]
@@ -139,7 +139,8 @@ def _place(
         tile = tiles[point]
         if tile == NO_TILE:
             continue
-        points[places[tile], :3] = xyz[point]
+        for axis in range(3):
+            points[places[tile], axis] = xyz[point, axis]
         marks[places[tile], 3] = first_row + point
         places[tile] += 1
         if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
@@ -147,6 +148,7 @@ def _place(
         for place in range(starts[tile], starts[tile + 1]):
             other = others[place]
             if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
-                points[places[other], :3] = xyz[point]
+                for axis in range(3):
+                    points[places[other], axis] = xyz[point, axis]
                 marks[places[other], 3] = ~(first_row + point)
                 places[other] += 1

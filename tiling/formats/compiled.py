@@ -18,3 +18,12 @@ def compiled(function: Function) -> Function:
         return cast(Function, njit(cache=True, nogil=True)(function))
     except RuntimeError:
         return cast(Function, njit(nogil=True)(function))
+
+
+def helper(function: Function) -> Function:
+    """Compile a function that compiled ones call for every point, byte or column.
+
+    It allocates nothing: so the references to the arrays handed to it need not be counted, which
+    would take several times as long as what it does.
+    """
+    return cast(Function, njit(nogil=True, _nrt=False)(function))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pyarrow.lib import ArrowInvalid, LargeStringArray, float64, py_buffer
 
 from tiling.errors import MapFormatError
-from tiling.formats.compiled import compiled
+from tiling.formats.compiled import compiled, helper
 
 BLOCK = 2 << 20
 """Bytes of text read at a time."""
@@ -274,12 +274,12 @@ def _split_rows(
     return rows, position, lines, _FINE, 0
 
 
-@compiled
+@helper
 def _is_blank(byte: int) -> bool:
     return byte == _BLANK or byte == _TAB or byte == _RETURN  # noqa: PLR1714 - half the time
 
 
-@compiled
+@helper
 def _copy_number(text: Bytes, start: int, stop: int, digits: Bytes, target: int) -> int:
     """Copy a number without what Arrow does not take: a plus sign, the argument of `nan(...)`."""
     if text[start] == _PLUS:
@@ -291,7 +291,7 @@ def _copy_number(text: Bytes, start: int, stop: int, digits: Bytes, target: int)
     return target
 
 
-@compiled
+@helper
 def _number_end(text: Bytes, position: int) -> int:
     """Return where the number at `position` ends, or -1 where there is none.
 
@@ -310,7 +310,7 @@ def _number_end(text: Bytes, position: int) -> int:
     return -1
 
 
-@compiled
+@helper
 def _decimal_end(text: Bytes, position: int) -> int:
     """Return where digits, with a point and an exponent or without, end; -1 if there are none."""
     start = position
@@ -333,14 +333,14 @@ def _decimal_end(text: Bytes, position: int) -> int:
     return position
 
 
-@compiled
+@helper
 def _digits_end(text: Bytes, position: int) -> int:
     while position < len(text) and _ZERO <= text[position] <= _NINE:
         position += 1
     return position
 
 
-@compiled
+@helper
 def _name_end(text: Bytes, position: int) -> int:
     """Return where `nan`, `nan(...)`, `inf` or `infinity` ends, in any case; -1 for others."""
     if _is_word(text, position, (_I, _N, _F, _I, _N, _I, _T, _Y)):
@@ -362,7 +362,7 @@ def _name_end(text: Bytes, position: int) -> int:
     return position + 1 if position < len(text) and text[position] == _CLOSING else -1
 
 
-@compiled
+@helper
 def _is_word(text: Bytes, position: int, word: tuple[int, ...]) -> bool:
     if position + len(word) > len(text):
         return False
