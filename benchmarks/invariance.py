@@ -3,7 +3,7 @@
     python -m benchmarks.invariance [--maps ../shared/data/maps] [--only corridor.pcd]
 
 Cleans each map as one tile, and again for each way to cut it below; prints the tiles and whether
-all result files have the same bytes. The maps of campus and street take minutes each.
+all result files have the same bytes. The maps of campus and street take many minutes each.
 """
 
 import argparse
@@ -18,12 +18,23 @@ from benchmarks.whole_run import COMMAND, ONE_TILE
 
 CUTS: dict[str, list[list[str]]] = {
     "corridor.pcd": [
+        ["tiling.max_points=150000"],
         ["tiling.max_points=2000"],
         ["tiling.max_points=2000", "tiling.halo=0.1", "execution.cluster=none"],
         ["tiling.max_points=20000", "tiling.halo=30"],
     ],
-    "campus_loop.laz": [[], ["tiling.format=las"]],
-    "street_64beam_labelled.laz": [[]],
+    "campus_loop.laz": [
+        [],
+        ["tiling.format=las"],
+        ["tiling.max_points=2500000"],
+        ["tiling.max_points=550000", "execution.workers=1"],
+        ["tiling.max_points=50000", "tiling.halo=1"],
+    ],
+    "street_64beam_labelled.laz": [
+        [],
+        ["tiling.max_points=8000000"],
+        ["tiling.max_points=80000", "tiling.format=las"],
+    ],
 }
 
 

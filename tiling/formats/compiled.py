@@ -1,4 +1,4 @@
-"""Loops over single bytes, compiled by Numba: text and compressed data leave no other way."""
+"""Loops over single bytes, points or columns, compiled by Numba, where NumPy has none for them."""
 
 from collections.abc import Callable
 from typing import TypeVar, cast
