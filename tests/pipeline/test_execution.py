@@ -1,5 +1,6 @@
 """Executors: few tasks in flight, none kept, and every failure told with its reason."""
 
+import asyncio
 import gc
 import os
 import pickle
@@ -192,6 +193,7 @@ class TestSlidingWindow:
         assert executor.workers == 2
         held, on_scheduler = [], []
         for _ in executor.run(answer, "abc", range(300)):
+            client.sync(asyncio.sleep, 0)  # until its thread has let go what it was told to
             held.append(len(client.futures))
             on_scheduler.append(len(client.cluster.scheduler.tasks))
         # Those just yielded are let go when the next is asked for, by another thread.
