@@ -59,8 +59,20 @@ class DensityParameters(_Section):
 
 
 class RemovalParameters(_Section):
-    """How much of each cluster goes (Eq. 1), and how the threshold is found."""
+    """How it is decided what goes: by the paper's share of each cluster (Eq. 1), or by evidence."""
 
+    decision: Literal["paper", "auto"] = Field(
+        "paper",
+        description="`paper`: the least dense points of each cluster, as many as Eq. 1 says. "
+        "`auto`: what the evidence says moved, and nothing where nothing did.",
+    )
+    confidence: float = Field(
+        0.5,
+        gt=0,
+        lt=1,
+        description="Of `auto`: points go whose probability of having moved is at least this. "
+        "Higher is more careful.",
+    )
     min_percent: float = Field(
         5.0, ge=0, le=100, description="Percent removed from the smallest cluster."
     )
@@ -80,6 +92,11 @@ class RemovalParameters(_Section):
                 f"min_percent ({self.min_percent:g}) is above max_percent ({self.max_percent:g})"
             )
         return self
+
+    @property
+    def weighs_evidence(self) -> bool:
+        """Whether each point is judged by the evidence for it."""
+        return self.decision == "auto"
 
 
 class MethodParameters(_Section):

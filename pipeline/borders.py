@@ -13,7 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters
-from dynahull.density import SMALLEST_CLUSTER, reference_densities
+from dynahull.density import (
+    SMALLEST_CLUSTER,
+    SPREAD_COLUMNS,
+    reference_densities,
+    reference_spreads,
+)
 from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
@@ -91,12 +96,15 @@ class CoreDensities:
     cluster : (n,) int32 array
     density : (n,) float64 array
         NaN where the whole cluster has fewer than four points.
+    spread : (n, SPREAD_COLUMNS) or (n, 0) float32 array
+        How the neighbours are spread, where the decision asks.
     finished_elsewhere : int
         Points that needed further tiles.
     """
 
     cluster: NDArray[np.int32]
     density: NDArray[np.float64]
+    spread: NDArray[np.float32]
     finished_elsewhere: int
 
 
@@ -121,7 +129,7 @@ def core_densities(
         Tiles to finish from, the tile itself not among them.
     clusters : Clusters
     parameters : MethodParameters
-        `neighbours.k` and `density.device` are used.
+        `neighbours.k`, `density.device` and `removal.decision` are used.
 
     Returns
     -------
@@ -129,42 +137,57 @@ def core_densities(
         For the core points, in their order.
     """
     membership = clusters.nearest(known.xyz) if len(clusters.centroids) else np.zeros(0, np.int32)
-    density = np.full(len(known), np.nan)
+    density, spread = _nothing(len(known), parameters)
     reach = np.full(len(known), np.inf)
     pending = np.zeros(len(known), np.bool_)
     for cluster in np.unique(membership[core]):
         members = np.flatnonzero(membership == cluster)
         inside, queries = known.select(members), core[members]
         found = _inside_densities(inside, queries, region, parameters)
-        density[members] = found.density
+        density[members], spread[members] = found.density, found.spread
         pending[members] = queries & ~region.suffices(inside.xyz, found.squared_reach)
         # A hair more than the distance, so that no rounding of it hides a tie.
         reach[members] = np.sqrt(found.squared_reach) * (1 + 1e-9)
     rest = _Rest(known, membership, region, others, clusters, parameters)
     reached = pending & (reach <= _FARTHEST_GATHERED)
-    density[reached] = rest.within_reach(np.flatnonzero(reached), reach[reached])
+    density[reached], spread[reached] = rest.within_reach(
+        np.flatnonzero(reached), reach[reached]
+    )
     one_by_one = np.flatnonzero(pending & ~reached)
     for start in range(0, len(one_by_one), _QUERIES_AT_A_TIME):
         batch = one_by_one[start : start + _QUERIES_AT_A_TIME]
-        density[batch] = rest.wherever(batch, reach[batch])
-    return CoreDensities(membership[core], density[core], int(pending.sum()))
+        density[batch], spread[batch] = rest.wherever(batch, reach[batch])
+    return CoreDensities(membership[core], density[core], spread[core], int(pending.sum()))
+
+
+_Found = tuple[NDArray[np.float64], NDArray[np.float32]]
+"""Density and spread of some points."""
+
+
+def _nothing(count: int, parameters: MethodParameters) -> _Found:
+    columns = SPREAD_COLUMNS if parameters.removal.weighs_evidence else 0
+    return np.full(count, np.nan), np.full((count, columns), np.nan, np.float32)
 
 
 def _inside_densities(
     inside: FreePoints, queries: NDArray[np.bool_], region: Region, parameters: MethodParameters
 ) -> HullDensities:
     """Score points by what is inside the region; a reach that is not known is infinite."""
-    k = parameters.neighbours.k
-    nothing = np.full(len(inside), np.nan)
+    k, spread = parameters.neighbours.k, parameters.removal.weighs_evidence
+    nothing = _nothing(len(inside), parameters)
     unknown = np.full(len(inside), np.inf)
     alone = bool(np.isinf(region.low).all() and np.isinf(region.high).all())
     if len(inside) < (SMALLEST_CLUSTER if alone else k):
-        return HullDensities(nothing, unknown)
+        return HullDensities(nothing[0], unknown, nothing[1])
     if parameters.density.device == "reference":
         if not alone:
-            return HullDensities(nothing, unknown)
-        return HullDensities(reference_densities(inside.xyz, inside.rows, k), unknown)
-    return hull_densities(inside.xyz, inside.rows, k, queries=queries)
+            return HullDensities(nothing[0], unknown, nothing[1])
+        return HullDensities(
+            reference_densities(inside.xyz, inside.rows, k),
+            unknown,
+            reference_spreads(inside.xyz, inside.rows, k if spread else 0),
+        )
+    return hull_densities(inside.xyz, inside.rows, k, queries=queries, spread=spread)
 
 
 class _Rest:
@@ -196,15 +219,13 @@ class _Rest:
         self._clusters = clusters
         self._parameters = parameters
 
-    def within_reach(
-        self, queries: NDArray[np.intp], reach: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the density of points that have k neighbours inside.
+    def within_reach(self, queries: NDArray[np.intp], reach: NDArray[np.float64]) -> _Found:
+        """Return density and spread of points that have k neighbours inside.
 
         Nothing farther than the last of these can be a neighbour: so all that may be is gathered
         once, and queries of one cluster and of like reach are done together.
         """
-        density = np.empty(len(queries))
+        density, spread = _nothing(len(queries), self._parameters)
         cluster_of, octaves = self._membership[queries], np.frexp(reach)[1]
         groups = {
             group: np.flatnonzero((cluster_of == group[0]) & (octaves == group[1]))
@@ -224,20 +245,26 @@ class _Rest:
                 vicinity = vicinities[group]
                 near = inside[vicinity.holds(inside_xyz)]
                 also_near = outside.select(vicinity.holds(outside.xyz))
-                density[slots] = self._densities(near, also_near, queries[slots])
-        return density
+                density[slots], spread[slots] = self._densities(near, also_near, queries[slots])
+        return density, spread
 
     def _densities(
         self, near: NDArray[np.intp], outside: FreePoints, queries: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
+    ) -> _Found:
         """Score known points by known points near them, and by others."""
         inside = self._known.select(near)
         xyz = np.concatenate([inside.xyz, outside.xyz])
         rows = np.concatenate([inside.rows, outside.rows])
         chosen = np.zeros(len(rows), np.bool_)
         chosen[np.searchsorted(near, queries)] = True
-        found = hull_densities(xyz, rows, self._parameters.neighbours.k, queries=chosen)
-        return found.density[chosen]
+        found = hull_densities(
+            xyz,
+            rows,
+            self._parameters.neighbours.k,
+            queries=chosen,
+            spread=self._parameters.removal.weighs_evidence,
+        )
+        return found.density[chosen], found.spread[chosen]
 
     def _beyond(self, vicinities: Mapping[tuple[int, int], Vicinity]) -> dict[int, FreePoints]:
         """Gather the points of other tiles that queries reach, by cluster; each tile is read once.
@@ -281,10 +308,8 @@ class _Rest:
             if any(vicinity.meets(*box) for vicinity in vicinities):
                 yield tile
 
-    def wherever(
-        self, queries: NDArray[np.intp], reach: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the density of points, wherever their neighbours are."""
+    def wherever(self, queries: NDArray[np.intp], reach: NDArray[np.float64]) -> _Found:
+        """Return density and spread of points, wherever their neighbours are."""
         of_cluster = {
             int(cluster): np.flatnonzero(self._membership[queries] == cluster)
             for cluster in np.unique(self._membership[queries])
@@ -312,25 +337,29 @@ class _Rest:
             membership = self._clusters.nearest(points.xyz)
             for cluster, slots in reaching.items():
                 searches[cluster].offer(points.select(membership == cluster), slots)
-        density = np.full(len(queries), np.nan)
+        density, spread = _nothing(len(queries), self._parameters)
         for cluster, slots in of_cluster.items():
             for slot, neighbours in searches[cluster].neighbourhoods():
-                query = queries[slots[slot]]
-                density[slots[slot]] = self._density_of(query, neighbours)
-        return density
+                one = slice(slots[slot], slots[slot] + 1)
+                density[one], spread[one] = self._of_one(queries[slots[slot]], neighbours)
+        return density, spread
 
-    def _density_of(self, query: np.intp, neighbours: FreePoints) -> float:
-        """Return the density of one point, of which the neighbours are known."""
-        k = self._parameters.neighbours.k
+    def _of_one(self, query: np.intp, neighbours: FreePoints) -> _Found:
+        """Return density and spread of one point, of which the neighbours are known."""
+        k, spread = self._parameters.neighbours.k, self._parameters.removal.weighs_evidence
         if len(neighbours) < SMALLEST_CLUSTER:
-            return np.nan
+            return _nothing(1, self._parameters)
         if self._parameters.density.device == "reference":
             centre = self._known.xyz[query][None]
-            found = reference_densities(neighbours.xyz, neighbours.rows, k, centres=centre)
-            return float(found[0])
+            return (
+                reference_densities(neighbours.xyz, neighbours.rows, k, centres=centre),
+                reference_spreads(neighbours.xyz, neighbours.rows, k if spread else 0, centre),
+            )
         chosen = neighbours.rows == self._known.rows[query]
-        scored = hull_densities(neighbours.xyz, neighbours.rows, k, queries=chosen)
-        return float(scored.density[chosen][0])
+        found = hull_densities(
+            neighbours.xyz, neighbours.rows, k, queries=chosen, spread=spread
+        )
+        return found.density[chosen], found.spread[chosen]
 
 
 def _bounds_of_all(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.density import SPREAD_COLUMNS
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels.compilation import kernels
 from dynahull.kernels.exact import exact_hull_volume
@@ -35,10 +36,14 @@ class HullDensities:
         Squared distance of the k-th neighbour, `(dx dx + dy dy) + dz dz` in float64; NaN where
         the point was not a query. Points missing beyond a plane `x = b` change nothing as long as
         it is smaller than the square of `b - x`, to the last bit.
+    spread : (n, SPREAD_COLUMNS) or (n, 0) float32 array
+        How the neighbourhood is spread, if asked for: see `dynahull.kernels.spread`; NaN where the
+        point was not a query.
     """
 
     density: NDArray[np.float64]
     squared_reach: NDArray[np.float64]
+    spread: NDArray[np.float32]
 
 
 def hull_densities(
@@ -49,6 +54,7 @@ def hull_densities(
     queries: NDArray[np.bool_] | None = None,
     threads: int = 1,
     on_progress: Callable[[int], None] | None = None,
+    spread: bool = False,
 ) -> HullDensities:
     """Compute the density k / v of the points of one cluster (Section III-C of the paper).
 
@@ -73,6 +79,8 @@ def hull_densities(
     on_progress : callable, optional
         Told, in the calling thread, of each number of points done (queries or not) since the last
         call.
+    spread : bool
+        Measure how each neighbourhood is spread as well.
 
     Raises
     ------
@@ -82,8 +90,10 @@ def hull_densities(
         When `k` is less than four or more than 16,384, or `threads` less than one.
     """
     density = np.full(len(points), np.nan)
-    squared_reach = _solve(points, rows, k, queries, threads, on_progress, density, None)
-    return HullDensities(density, squared_reach)
+    columns = SPREAD_COLUMNS if spread else 0
+    spreads = np.full((len(points), columns), np.nan, np.float32)
+    squared_reach = _solve(points, rows, k, queries, threads, on_progress, density, None, spreads)
+    return HullDensities(density, squared_reach, spreads)
 
 
 def nearest_rows(
@@ -122,6 +132,7 @@ def _solve(
     on_progress: Callable[[int], None] | None,
     density: NDArray[np.float64] | None,
     neighbours: NDArray[np.int64] | None,
+    spread: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float64]:
     """Fill in what is given, and return the squared reaches."""
     _check(points, rows, k, queries, threads)
@@ -137,6 +148,7 @@ def _solve(
         np.empty(0) if density is None else density,
         squared_reach,
         np.empty((0, 0), np.int64) if neighbours is None else neighbours,
+        np.empty((0, 0), np.float32) if spread is None else spread,
     )
 
     rooms: list[Room] = []  # not in use

@@ -21,6 +21,7 @@ from dynahull.kernels.growth import Growth, grow_tree
 from dynahull.kernels.hull import Surface, hull_volume, make_surface
 from dynahull.kernels.nearest import Nearest, Pool, make_nearest, make_pool, sort_nearest
 from dynahull.kernels.search import search_list
+from dynahull.kernels.spread import measure_spread
 from dynahull.kernels.tree import (
     LEAF_SIZE,
     Tree,
@@ -57,11 +58,14 @@ class Results(NamedTuple):
         Squared distance of the k-th neighbour.
     neighbours : (n, k) or (0, 0) int64 array
         The neighbours' row numbers, in order; not written where empty.
+    spread : (n, SPREAD_COLUMNS) or (0, 0) float32 array
+        See `dynahull.kernels.spread`; not written where empty.
     """
 
     density: NDArray[np.float64]
     squared_reach: NDArray[np.float64]
     neighbours: NDArray[np.int64]
+    spread: NDArray[np.float32]
 
 
 def make_room(k: int) -> Room:
@@ -140,6 +144,8 @@ def solve(
                 _write_neighbours(tree, i, k, nearest, neighbours)
             if density.size:
                 places = _gather_places(tree, i, k, nearest, room.points)
+                if results.spread.size:
+                    measure_spread(room.points, places, results.spread[at])
                 volume, rough = hull_volume(room.points, places, room.surface, waiting == 0)
                 waiting, pause = _pauses(waiting, pause, rough)
                 density[at] = np.inf if volume == 0.0 else k / volume

@@ -1,0 +1,1 @@
+"""Train the model of `dynahull.evidence` from simulated scenes alone."""

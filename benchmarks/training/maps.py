@@ -1,0 +1,163 @@
+"""Maps to learn from: simulated, cut to one size, and once more as sparser or noisier maps."""
+
+import json
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.algorithm import scored_points
+from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.summaries import summarise_ground, summarise_points
+from dynahull.evidence.surroundings import Surroundings
+from dynahull.evidence.terms import TERMS, evidence
+from dynahull.parameters import MethodParameters
+from pipeline.simulation.meshes import random_parameters, simulate_meshes
+
+UNKNOWN, STATIC, MOVED = 0, 1, 2
+
+_LARGEST = 350_000
+"""Points of a map: a window of it is cut out where there are more."""
+
+_FEWEST = 3_000
+_BATCH = 100_000
+
+
+@dataclass(frozen=True)
+class TrainingMap:
+    """A map whose terms and truth are known.
+
+    Attributes
+    ----------
+    name : str
+        Its seed, and a letter for each variant.
+    kind, sensor : str
+    xyz : (n, 3) float64 array
+        Of the points that are scored.
+    truth : (n,) int8 array
+        `UNKNOWN`, `STATIC` or `MOVED`.
+    terms : (n, len(TERMS)) float32 array
+        Read from its file as it is asked for.
+    unscored_static, unscored_moved : int
+        Points that no decision can take: ground.
+    """
+
+    name: str
+    kind: str
+    sensor: str
+    xyz: NDArray[np.float64]
+    truth: NDArray[np.int8]
+    terms: NDArray[np.float32]
+    unscored_static: int
+    unscored_moved: int
+
+
+def training_maps(seeds: range, folder: Path, workers: int) -> Iterator[TrainingMap]:
+    """Simulate maps and measure them, or read those that lie in the folder already."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(workers) as pool:
+        for names in pool.map(partial(_make, folder), seeds):
+            for name in names:
+                yield _read(folder, name)
+
+
+def _make(folder: Path, seed: int) -> list[str]:
+    done = folder / f"{seed:05d}.json"
+    if done.exists():
+        return list(json.loads(done.read_text(encoding="utf-8")))
+    parameters = random_parameters(seed)
+    made = simulate_meshes(parameters)
+    random = np.random.default_rng(seed)
+    truth = np.where(made.known, np.where(made.moved, MOVED, STATIC), UNKNOWN).astype(np.int8)
+    window = _window(made.xyz, random)
+    xyz, truth = made.xyz[window], truth[window]
+    variants = {"a": (xyz, truth), "b": _variant(xyz, truth, parameters.voxel > 0, random)}
+    names = []
+    for letter, (points, labels) in variants.items():
+        name = f"{seed:05d}{letter}"
+        if _measure(folder / name, points, labels, str(parameters.kind), str(parameters.sensor)):
+            names.append(name)
+    done.write_text(json.dumps(names), encoding="utf-8")
+    return names
+
+
+def _window(xyz: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.intp]:
+    """Return the points about one of them, in a square that holds as many as are wanted."""
+    if len(xyz) <= _LARGEST:
+        return np.arange(len(xyz))
+    centre = xyz[random.integers(len(xyz)), :2]
+    away = np.abs(xyz[:, :2] - centre).max(axis=1)
+    return np.flatnonzero(away <= np.partition(away, _LARGEST)[_LARGEST])
+
+
+def _variant(
+    xyz: NDArray[np.float64],
+    truth: NDArray[np.int8],
+    downsampled: bool,
+    random: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    """Return the map as a voxel filter would leave it, or thinned, often with more noise."""
+    chance = random.random()
+    if chance < 0.35 and not downsampled:
+        return _voxel_filter(xyz, truth, float(random.choice([0.03, 0.05, 0.05, 0.1])))
+    keep = random.random(len(xyz)) < random.uniform(0.15, 0.6)
+    noise = random.uniform(0.005, 0.025) if chance < 0.7 else 0.0
+    return xyz[keep] + random.normal(size=(int(keep.sum()), 3)) * noise, truth[keep]
+
+
+def _voxel_filter(
+    xyz: NDArray[np.float64], truth: NDArray[np.int8], side: float
+) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    """Replace the points of each voxel by their mean; its truth is that of most of them."""
+    _, place, count = np.unique(
+        np.floor(xyz / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    place = place.ravel()
+    means = np.column_stack([np.bincount(place, xyz[:, axis]) / count for axis in range(3)])
+    shares = [np.bincount(place, truth == label) / count for label in (UNKNOWN, STATIC, MOVED)]
+    return means, np.argmax(shares, axis=0).astype(np.int8)
+
+
+def _measure(
+    path: Path, xyz: NDArray[np.float64], truth: NDArray[np.int8], kind: str, sensor: str
+) -> bool:
+    """Measure the terms of a map as `clean` does, and keep them."""
+    xyz = np.ascontiguousarray(xyz)
+    parameters = MethodParameters.of({"removal": {"decision": "auto"}})
+    points, rows = scored_points(xyz, parameters)
+    if len(points) < _FEWEST:
+        return False
+    unscored = np.ones(len(xyz), np.bool_)
+    unscored[rows] = False
+    voxels = Voxels.merged([summarise_points(points), summarise_ground(xyz[unscored])])
+    surroundings = Surroundings.of(voxels)
+    terms = np.lib.format.open_memmap(
+        path.with_suffix(".terms.npy"), "w+", np.float32, (len(points), len(TERMS))
+    )
+    for begin in range(0, len(points), _BATCH):
+        part = points.part(slice(begin, begin + _BATCH))
+        terms[begin : begin + _BATCH] = evidence(part, parameters.neighbours.k, surroundings)
+    np.savez(
+        path.with_suffix(".npz"),
+        xyz=points.xyz,
+        truth=truth[rows],
+        names=np.array([kind, sensor]),
+        unscored=[np.count_nonzero(truth[unscored] == label) for label in (STATIC, MOVED)],
+    )
+    return True
+
+
+def _read(folder: Path, name: str) -> TrainingMap:
+    with np.load(folder / f"{name}.npz") as kept:
+        return TrainingMap(
+            name,
+            *kept["names"].tolist(),
+            kept["xyz"],
+            kept["truth"],
+            np.load(folder / f"{name}.terms.npy", mmap_mode="r"),
+            *kept["unscored"].tolist(),
+        )

@@ -1,0 +1,199 @@
+"""Voxels of a lattice anchored at the origin of the coordinates, and the sums that they hold.
+
+A point falls into the same voxel whatever else is in the map, and what is summed are integers: so
+the voxels of a map are those of its parts, added up, to the last bit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dynahull.compilation import compiled, helper, inlined
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Cells = npt.NDArray[np.int32]
+
+FARTHEST_CELL = 2.0**30
+"""Cells beyond it are one: their numbers, and those of cells around them, fit 32 bits."""
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """The occupied voxels of a lattice, and sums over the points in each.
+
+    Attributes
+    ----------
+    cells : (V, 3) int32 array
+        Voxel (i, j, k) holds the points with i <= x / side < i + 1, and so on.
+    sums : (V, C) int64 array
+        Integers, so that no order of adding them changes a bit.
+    """
+
+    cells: Cells
+    sums: Integers
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    @classmethod
+    def of(cls, cells: Cells, values: Integers) -> Self:
+        """Add up values by cell.
+
+        Parameters
+        ----------
+        cells : (n, 3) int32 array
+            In any order; a cell may come many times.
+        values : (n, C) int64 array
+        """
+        numbers, firsts = number_cells(cells)
+        return cls(cells[firsts], added(values, numbers, len(firsts)))
+
+    @classmethod
+    def merged(cls, parts: Sequence[Self]) -> Self:
+        """Add up the voxels of parts of a map."""
+        return cls.of(
+            np.concatenate([part.cells for part in parts]),
+            np.concatenate([part.sums for part in parts]),
+        )
+
+    def within(self, low: Cells, high: Cells) -> Self:
+        """Return the voxels with low <= (i, j) <= high; `low` and `high` are (2,) arrays."""
+        flat = self.cells[:, :2]
+        inside = ((flat >= low) & (flat <= high)).all(axis=1)
+        return type(self)(self.cells[inside], self.sums[inside])
+
+    @cached_property
+    def table(self) -> npt.NDArray[np.int32]:
+        """Where each voxel is found by its cell: see `find_cell`."""
+        return _table_of(self.cells)
+
+    def coarser(self) -> tuple[Self, npt.NDArray[np.int32]]:
+        """Return the voxels of twice the side, and in which of them each of these lies."""
+        numbers, firsts = number_cells(self.cells >> 1)
+        sums = added(self.sums, numbers, len(firsts))
+        return type(self)(self.cells[firsts] >> 1, sums), numbers
+
+    def around(self) -> Integers:
+        """Return the sums over the 3 x 3 x 3 voxels about each voxel, (V, C)."""
+        return _sums_around(self.cells, self.sums, self.cells, self.table)
+
+
+def cells_of(points: Floats, side: float) -> Cells:
+    """Return the cell of each point, (n, 3)."""
+    cells = np.empty((len(points), 3), np.int32)
+    _find_cells(points, side, cells)
+    return cells
+
+
+@compiled
+def _find_cells(points: Floats, side: float, cells: Cells) -> None:
+    for i in range(len(points)):
+        for axis in range(3):
+            cell = np.floor(points[i, axis] / side)
+            cells[i, axis] = np.int32(min(max(cell, -FARTHEST_CELL), FARTHEST_CELL))
+
+
+@compiled
+def number_cells(cells: Cells) -> tuple[npt.NDArray[np.int32], Integers]:
+    """Number cells in the order in which they come; return their numbers, and where each is first."""
+    size = 1024
+    table = np.full(size, -1, np.int32)
+    firsts = np.empty(size // 2, np.int64)
+    numbers = np.empty(len(cells), np.int32)
+    count = 0
+    for point in range(len(cells)):
+        i, j, k = cells[point, 0], cells[point, 1], cells[point, 2]
+        place = hash_of(i, j, k) & (size - 1)
+        while True:
+            number = table[place]
+            if number < 0:
+                break
+            first = firsts[number]
+            if cells[first, 0] == i and cells[first, 1] == j and cells[first, 2] == k:
+                break
+            place = (place + 1) & (size - 1)
+        if number < 0:
+            number = np.int32(count)
+            table[place] = number
+            firsts[count] = point
+            count += 1
+            if count == len(firsts):
+                size *= 4
+                table = np.full(size, -1, np.int32)
+                larger = np.empty(size // 2, np.int64)
+                larger[:count] = firsts
+                firsts = larger
+                for again in range(count):
+                    first = firsts[again]
+                    place = hash_of(cells[first, 0], cells[first, 1], cells[first, 2]) & (size - 1)
+                    while table[place] >= 0:
+                        place = (place + 1) & (size - 1)
+                    table[place] = np.int32(again)
+        numbers[point] = number
+    return numbers, firsts[:count].copy()
+
+
+@compiled
+def added(values: Integers, numbers: npt.NDArray[np.int32], count: int) -> Integers:
+    """Add up rows of values by number, (count, C)."""
+    sums = np.zeros((count, values.shape[1]), np.int64)
+    for i in range(len(values)):
+        for column in range(values.shape[1]):
+            sums[numbers[i], column] += values[i, column]
+    return sums
+
+
+@inlined
+def hash_of(i: int, j: int, k: int) -> int:
+    """Mix the numbers of a cell (Teschner et al. 2003, and Knuth's multiplicative hashing)."""
+    mixed = (i * 73856093) ^ (j * 19349663) ^ (k * 83492791)
+    return (mixed * 0x1E3779B97F4A7C15) >> 32
+
+
+@compiled
+def _table_of(cells: Cells) -> npt.NDArray[np.int32]:
+    size = 16
+    while size < 2 * len(cells):
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    for number in range(len(cells)):
+        place = hash_of(cells[number, 0], cells[number, 1], cells[number, 2]) & (size - 1)
+        while table[place] >= 0:
+            place = (place + 1) & (size - 1)
+        table[place] = np.int32(number)
+    return table
+
+
+@helper
+def find_cell(i: int, j: int, k: int, cells: Cells, table: npt.NDArray[np.int32]) -> int:
+    """Return the number of a voxel, -1 where it is empty."""
+    place = hash_of(i, j, k) & (len(table) - 1)
+    while True:
+        number = table[place]
+        if number < 0:
+            return -1
+        if cells[number, 0] == i and cells[number, 1] == j and cells[number, 2] == k:
+            return int(number)
+        place = (place + 1) & (len(table) - 1)
+
+
+@compiled
+def _sums_around(
+    centres: Cells, sums: Integers, cells: Cells, table: npt.NDArray[np.int32]
+) -> Integers:
+    around = np.zeros((len(centres), sums.shape[1]), np.int64)
+    for centre in range(len(centres)):
+        i, j, k = centres[centre, 0], centres[centre, 1], centres[centre, 2]
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                for dk in range(-1, 2):
+                    number = find_cell(i + di, j + dj, k + dk, cells, table)
+                    if number >= 0:
+                        for column in range(sums.shape[1]):
+                            around[centre, column] += sums[number, column]
+    return around

@@ -1,0 +1,193 @@
+"""The model that weighs the evidence: two rounds of trees, in a data file beside this module.
+
+The first round judges each point by its own terms. The second knows what the first made of the
+points around. The file is made by `python -m benchmarks.training`, from simulated scenes alone.
+"""
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dynahull.compilation import compiled
+from dynahull.errors import InvalidParametersError
+from dynahull.evidence.forest import Forest
+from dynahull.evidence.lattice import Floats, Voxels
+from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_odds, summarise_points
+from dynahull.evidence.surroundings import Surroundings, Terms
+from dynahull.evidence.terms import TERMS, evidence
+from dynahull.threads import over_ranges
+
+FIRST_ODDS = "first"
+"""The term of the second round that is the outcome of the first."""
+
+KEPT_TERMS = (
+    "thickness",
+    "scale",
+    "height",
+    "over",
+    "under",
+    "ground_seen",
+    "ground_near",
+    "density_2.4",
+    "thickness_2.4",
+    "density_4.8",
+    "returns_0.3",
+    "returns_2.4",
+    "thickness_least",
+    "box_thin_0.3",
+    "box_thin_0.6",
+    "box_thin_1.2",
+    "box_flat_0.6",
+    "box_flat_1.2",
+)
+"""Terms of the first round that the second looks at again."""
+
+SECOND_TERMS = (FIRST_ODDS, *POOLED_TERMS, *KEPT_TERMS)
+
+_KEPT = np.array([TERMS.index(name) for name in KEPT_TERMS])
+_BATCH = 50_000
+"""Points whose terms are held at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstRound:
+    """What the first round made of some points.
+
+    Attributes
+    ----------
+    log_odds : (n,) float32 array
+    kept : (n, len(KEPT_TERMS)) float32 array
+        What the second round looks at again.
+    """
+
+    log_odds: npt.NDArray[np.float32]
+    kept: Terms
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceModel:
+    """Two rounds of trees.
+
+    Attributes
+    ----------
+    first, second : Forest
+        Over `TERMS` and over `SECOND_TERMS`.
+    """
+
+    first: Forest
+    second: Forest
+
+    @classmethod
+    def of(cls, stored: dict[str, Any]) -> Self:
+        """Build from what the data file holds.
+
+        Raises
+        ------
+        InvalidParametersError
+            When it asks for terms that there are not.
+        """
+        first, second = Forest.of(stored["first"]), Forest.of(stored["second"])
+        if first.terms != TERMS or second.terms != SECOND_TERMS:
+            raise InvalidParametersError(
+                "evidence model: expected the terms of this version, found others"
+            )
+        return cls(first, second)
+
+    def first_round(
+        self, points: ScoredPoints, k: int, surroundings: Surroundings, threads: int = 1
+    ) -> FirstRound:
+        """Judge points by their own terms.
+
+        Parameters
+        ----------
+        points : ScoredPoints
+        k : int
+            Neighbours of each.
+        surroundings : Surroundings
+            Of all points within `summaries.REACH`.
+        threads : int
+            They change nothing about the result.
+        """
+
+        def judge(begin: int, end: int) -> FirstRound:
+            terms = evidence(points.part(slice(begin, end)), k, surroundings)
+            return FirstRound(self.first.log_odds(terms), terms[:, _KEPT])
+
+        parts = over_ranges(judge, _bounds(len(points)), threads)
+        return FirstRound(
+            np.concatenate([part.log_odds for part in parts]),
+            np.concatenate([part.kept for part in parts]),
+        )
+
+    def second_round(
+        self, xyz: Floats, found: FirstRound, odds: Voxels, threads: int = 1
+    ) -> npt.NDArray[np.float32]:
+        """Judge points once more, by what was made of those around; return logarithms of odds.
+
+        Parameters
+        ----------
+        xyz : (n, 3) float64 array
+        found : FirstRound
+            Of the same points.
+        odds : Voxels
+            Of all points within `summaries.REACH`: see `summaries.summarise_odds`.
+        threads : int
+            They change nothing about the result.
+        """
+        pooled = pooled_terms(xyz, odds)
+
+        def judge(begin: int, end: int) -> npt.NDArray[np.float32]:
+            own = slice(begin, end)
+            blocks = [found.log_odds[own, None], pooled[own], found.kept[own]]
+            return self.second.log_odds(np.concatenate(blocks, axis=1))
+
+        return np.concatenate(over_ranges(judge, _bounds(len(xyz)), threads))
+
+
+def log_odds_of(
+    points: ScoredPoints, unscored: Floats, k: int, threads: int = 1
+) -> npt.NDArray[np.float32]:
+    """Return the logarithm of the odds that each point of a map moved, (n,).
+
+    Parameters
+    ----------
+    points : ScoredPoints
+        All of the map.
+    unscored : (m, 3) float64 array
+        Ground, and what lies too high to be scored.
+    k : int
+        Neighbours of each point.
+    threads : int
+        They change nothing about the result.
+    """
+    model = evidence_model()
+    voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored)])
+    found = model.first_round(points, k, Surroundings.of(voxels), threads)
+    odds = summarise_odds(points.xyz, found.log_odds)
+    return model.second_round(points.xyz, found, odds, threads)
+
+
+@compiled
+def probability_of(log_odds: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return the probability that each point moved, (n,)."""
+    found = np.empty(len(log_odds), np.float32)
+    for i in range(len(log_odds)):
+        found[i] = 1.0 / (1.0 + np.exp(-np.float64(log_odds[i])))
+    return found
+
+
+@lru_cache(maxsize=1)
+def evidence_model() -> EvidenceModel:
+    """Return the model that comes with the package."""
+    file = files("dynahull.evidence").joinpath("model.json")
+    return EvidenceModel.of(json.loads(file.read_text(encoding="utf-8")))
+
+
+def _bounds(count: int) -> list[int]:
+    return [*range(0, max(count, 1), _BATCH), count]

@@ -1,0 +1,146 @@
+"""What is summed over the voxels of a map, and all that is ever read of points around a point."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dynahull.compilation import compiled
+from dynahull.evidence.lattice import Floats, Integers, Voxels, cells_of
+from dynahull.evidence.shapes import MOMENTS, moments_of
+
+FINEST = 0.1
+"""Side of the finest voxels, metres; each level above has twice the side."""
+
+LEVELS = 5
+
+REACH = 2 * FINEST * 2 ** (LEVELS - 1)
+"""Metres: no point farther than this, along x or y, decides anything about a point."""
+
+GROUND, SCORED, DENSITY, THICKNESS = range(4)
+"""Columns of what is summed: ground points, scored points, and of these the logarithms of density
+and thickness; the moments of the scored points follow."""
+
+SHAPE = 4
+COLUMNS = SHAPE + MOMENTS
+
+OCTAVE = 256
+"""Logarithms to base 2 are summed in whole steps, so many to an octave."""
+
+THINNEST = 1e-4
+"""Metres; what is thinner is told from nothing."""
+
+_DENSEST = 2.0**30
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredPoints:
+    """Ground-free points, and what their neighbours say.
+
+    Attributes
+    ----------
+    xyz : (n, 3) float64 array
+        Metres.
+    density : (n,) float64 array
+        k / v; infinite where flat, NaN in a cluster too small to be scored.
+    spread : (n, SPREAD_COLUMNS) float32 array
+        See `dynahull.density.reference_spreads`.
+    height : (n,) float64 array
+        Above the ground, metres; NaN where none is near.
+    """
+
+    xyz: Floats
+    density: Floats
+    spread: npt.NDArray[np.float32]
+    height: Floats
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def part(self, chosen: slice | npt.NDArray[np.bool_]) -> Self:
+        """Return some of the points."""
+        return type(self)(
+            self.xyz[chosen], self.density[chosen], self.spread[chosen], self.height[chosen]
+        )
+
+    def log_density(self) -> Floats:
+        """Return the logarithm of the density to base 2, within what can be summed."""
+        density = np.nan_to_num(self.density, nan=1.0, posinf=_DENSEST)
+        return logarithms(np.clip(density, 1 / _DENSEST, _DENSEST))
+
+    def log_thickness(self) -> Floats:
+        """Return the logarithm of the thickness to base 2."""
+        thickness = np.nan_to_num(self.spread[:, 0]).astype(np.float64)
+        return logarithms(np.maximum(thickness, THINNEST))
+
+
+def summarise_points(points: ScoredPoints) -> Voxels:
+    """Sum up scored points in the finest voxels, (V, COLUMNS)."""
+    values = np.empty((len(points), COLUMNS), np.int64)
+    values[:, GROUND] = 0
+    values[:, SCORED] = 1
+    values[:, DENSITY] = in_steps(points.log_density())
+    values[:, THICKNESS] = in_steps(points.log_thickness())
+    values[:, SHAPE:] = moments_of(points.xyz)
+    return Voxels.of(cells_of(points.xyz, FINEST), values)
+
+
+def summarise_ground(xyz: Floats) -> Voxels:
+    """Sum up points that are not scored: ground, and what lies too high, (V, COLUMNS)."""
+    cells = cells_of(xyz, FINEST)
+    counted = Voxels.of(cells, np.ones((len(cells), 1), np.int64))
+    sums = np.zeros((len(counted), COLUMNS), np.int64)
+    sums[:, GROUND] = counted.sums[:, 0]
+    return Voxels(counted.cells, sums)
+
+
+LIKELY, ODDS = 1, 2
+"""Columns of summed odds: points come first, then those more likely to have moved than not, and the
+logarithms of their odds."""
+
+LARGEST_ODDS = 8.0
+"""Of a logarithm of odds that is summed: one point must not speak for all."""
+
+
+def summarise_odds(xyz: Floats, log_odds: npt.NDArray[np.float32]) -> Voxels:
+    """Sum up what the first round made of points, in the finest voxels, (V, 3)."""
+    values = np.ones((len(xyz), 3), np.int64)
+    values[:, LIKELY] = log_odds > 0
+    values[:, ODDS] = in_steps(np.clip(log_odds.astype(np.float64), -LARGEST_ODDS, LARGEST_ODDS))
+    return Voxels.of(cells_of(xyz, FINEST), values)
+
+
+@compiled
+def logarithms(values: Floats) -> Floats:
+    """Return logarithms to base 2, one by one: NumPy's may depend on the place in the array."""
+    found = np.empty(len(values))
+    for i in range(len(values)):
+        found[i] = np.log2(values[i])
+    return found
+
+
+def in_steps(logarithms: Floats) -> Integers:
+    """Return logarithms as whole steps of an octave."""
+    return np.rint(logarithms * OCTAVE).astype(np.int64)
+
+
+def around(
+    voxels: Voxels, low: Floats, high: Floats
+) -> Voxels:
+    """Return the voxels that decide about points in a box.
+
+    Parameters
+    ----------
+    voxels : Voxels
+    low, high : (2,) float64 arrays
+        The box in x and y, metres; it may be infinite.
+    """
+    coarsest = 2 ** (LEVELS - 1)
+    side = FINEST * coarsest
+
+    def cells(place: Floats, more: int) -> npt.NDArray[np.int64]:
+        flat = np.nan_to_num(np.floor(place / side), posinf=2.0**40, neginf=-(2.0**40))
+        return (flat.astype(np.int64) + more) * coarsest
+
+    return voxels.within(cells(low, -2), cells(high, 3) - 1)

@@ -1,0 +1,160 @@
+"""What lies around each voxel, at every level of the lattice: read once, for all points in it."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dynahull.compilation import compiled
+from dynahull.evidence.lattice import Cells, Integers, Voxels, find_cell
+from dynahull.evidence.shapes import shapes_of
+from dynahull.evidence.summaries import FINEST, LEVELS, SCORED
+from dynahull.evidence.summaries import SHAPE as MOMENTS_BEGIN
+
+SHAPED_LEVELS = 3
+"""The shape is read over boxes of 0.3, 0.6 and 1.2 m."""
+
+COLUMN_LEVELS = (1, 2)
+"""Columns are 0.2 and 0.4 m wide."""
+
+EXTREME_LEVEL = 3
+"""The thinnest and the densest are looked for among voxels of 0.8 m."""
+
+COLUMN_TERMS = 6
+_STEPS = 16
+
+Terms = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """The voxels of one level, and what lies around each.
+
+    Attributes
+    ----------
+    side : float
+        Of a voxel, metres.
+    voxels : Voxels
+    means : (V, 5) float32 array
+        Over the box of 3 x 3 x 3 voxels: mean logarithms of density and thickness, and logarithms
+        of returns a finest voxel that is occupied, and of how many more finest voxels, and points,
+        are in the box of the next level.
+    shape : (V, 4) float32 array or None
+    columns : (V, COLUMN_TERMS) float32 array or None
+        Above the voxel: how far it goes on without a gap, the gap after that, and how much is
+        occupied; the same below.
+    extremes : (V, 2) float32 array or None
+        Least mean thickness and largest mean density of the voxels around.
+    """
+
+    side: float
+    voxels: Voxels
+    means: Terms
+    shape: Terms | None = None
+    columns: Terms | None = None
+    extremes: Terms | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """All levels, the finest first.
+
+    Attributes
+    ----------
+    levels : tuple of Level
+    """
+
+    levels: tuple[Level, ...]
+
+    @classmethod
+    def of(cls, voxels: Voxels) -> Self:
+        """Read the sums over the finest voxels: see `summaries`."""
+        occupied = (voxels.sums[:, SCORED] > 0).astype(np.int64)
+        here = Voxels(voxels.cells, np.column_stack([voxels.sums, occupied]))
+        sums = here.around()
+        levels = []
+        for number in range(LEVELS):
+            side = FINEST * 2**number
+            coarser, parents = here.coarser() if number < LEVELS - 1 else (here, None)
+            further = coarser.around() if parents is not None else sums
+            at = np.arange(len(here), dtype=np.int32) if parents is None else parents
+            levels.append(
+                Level(
+                    side,
+                    here,
+                    _means(here.sums, sums, further, at),
+                    shapes_of(here.cells, sums, SCORED, MOMENTS_BEGIN, side)
+                    if number < SHAPED_LEVELS
+                    else None,
+                    _columns(here.cells, here.table) if number in COLUMN_LEVELS else None,
+                    _extremes(here.cells, here.sums, here.table)
+                    if number == EXTREME_LEVEL
+                    else None,
+                )
+            )
+            here, sums = coarser, further
+        return cls(tuple(levels))
+
+
+@compiled
+def _means(
+    own: Integers, sums: Integers, further: Integers, parents: npt.NDArray[np.int32]
+) -> Terms:
+    last = sums.shape[1] - 1
+    means = np.full((len(sums), 5), np.nan, np.float32)
+    for v in range(len(sums)):
+        if own[v, 1] == 0:
+            continue
+        count, occupied = sums[v, 1], sums[v, last]
+        means[v, 0] = sums[v, 2] / (256.0 * count)
+        means[v, 1] = sums[v, 3] / (256.0 * count)
+        means[v, 2] = np.log2(count / occupied)
+        parent = parents[v]
+        means[v, 3] = np.log2(further[parent, last] / occupied)
+        means[v, 4] = np.log2(further[parent, 1] / count)
+    return means
+
+
+@compiled
+def _columns(cells: Cells, table: npt.NDArray[np.int32]) -> Terms:
+    columns = np.empty((len(cells), 6), np.float32)
+    for v in range(len(cells)):
+        for way in range(2):
+            step = 1 - 2 * way
+            run, gap, count = 0, _STEPS, 0
+            broken = False
+            for away in range(1, _STEPS + 1):
+                if find_cell(cells[v, 0], cells[v, 1], cells[v, 2] + step * away, cells, table) < 0:
+                    broken = True
+                    continue
+                count += 1
+                if not broken:
+                    run = away
+                elif gap == _STEPS:
+                    gap = away - run - 1
+            columns[v, 3 * way] = run
+            columns[v, 3 * way + 1] = gap
+            columns[v, 3 * way + 2] = count
+    return columns
+
+
+@compiled
+def _extremes(cells: Cells, sums: Integers, table: npt.NDArray[np.int32]) -> Terms:
+    """Return the extremes of the voxels around that hold enough; a voxel itself always counts."""
+    extremes = np.full((len(cells), 2), np.nan, np.float32)
+    for v in range(len(cells)):
+        if sums[v, 1] == 0:
+            continue
+        least, most = np.inf, -np.inf
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                for dk in range(-1, 2):
+                    n = find_cell(
+                        cells[v, 0] + di, cells[v, 1] + dj, cells[v, 2] + dk, cells, table
+                    )
+                    if n >= 0 and (sums[n, 1] >= 10 or n == v):
+                        least = min(least, sums[n, 3] / (256.0 * sums[n, 1]))
+                        most = max(most, sums[n, 2] / (256.0 * sums[n, 1]))
+        extremes[v, 0], extremes[v, 1] = least, most
+    return extremes

@@ -1,0 +1,116 @@
+"""The terms: numbers that say of each point what its neighbours, surroundings and floor say."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dynahull.compilation import compiled
+from dynahull.evidence.floor import FLOOR_TERMS, floor_terms
+from dynahull.evidence.lattice import Cells, cells_of, find_cell
+from dynahull.evidence.summaries import FINEST, LEVELS, THINNEST, ScoredPoints
+from dynahull.evidence.surroundings import Surroundings, Terms
+
+NEIGHBOURHOOD_TERMS = (
+    "fill",
+    "thickness",
+    "flatness",
+    "linearity",
+    "upright",
+    "offset",
+    "scale",
+    "thick",
+)
+"""Volume of the hull against the cube of the length; thickness against length, and against width;
+width against length; |z| of the normal; distance to the mean of the neighbours against length;
+length and thickness in metres. Lengths and ratios are logarithms to base 2."""
+
+BOXES = tuple(f"{3 * FINEST * 2**level:.1f}" for level in range(LEVELS))
+"""Sides of the boxes that surroundings are read over, metres."""
+
+
+def _level_names() -> tuple[str, ...]:
+    names = []
+    for number, box in enumerate(BOXES):
+        if number:
+            names += [f"density_{box}", f"thickness_{box}"]
+        names += [f"returns_{box}"]
+        if number < LEVELS - 1:
+            names += [f"spread_{box}", f"growth_{box}"]
+        if number < 3:
+            names += [f"{name}_{box}" for name in ("box_thin", "box_flat", "box_linear", "box_normal")]
+        if number in (1, 2):
+            for way in ("up", "down"):
+                names += [f"{name}_{way}_{box}" for name in ("run", "gap", "filled")]
+        if number == 3:
+            names += ["thickness_least", "density_most"]
+    return tuple(names)
+
+
+TERMS = (*NEIGHBOURHOOD_TERMS, *FLOOR_TERMS, *_level_names())
+"""All terms, in the order of their columns."""
+
+
+def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
+    """Return the terms of each point.
+
+    Parameters
+    ----------
+    points : ScoredPoints
+    k : int
+        Neighbours of each.
+    surroundings : Surroundings
+        Of all points within `summaries.REACH`.
+
+    Returns
+    -------
+    (n, len(TERMS)) float32 array
+        NaN where there is nothing to tell.
+    """
+    log_density, log_thickness = points.log_density(), points.log_thickness()
+    own = _neighbourhood_terms(points.spread, log_density, k)
+    blocks = [own, floor_terms(points.xyz, points.height, own[:, 6], surroundings)]
+    cells = cells_of(points.xyz, FINEST)
+    for number, level in enumerate(surroundings.levels):
+        at = places_of(cells >> number, level.voxels.cells, level.voxels.table)
+        means = level.means.take(at, axis=0)
+        if number:
+            blocks += [(log_density - means[:, 0])[:, None], (log_thickness - means[:, 1])[:, None]]
+        blocks += [means[:, 2 : 5 if number < LEVELS - 1 else 3]]
+        for more in (level.shape, level.columns):
+            if more is not None:
+                blocks += [more.take(at, axis=0)]
+        if level.extremes is not None:
+            extremes = level.extremes.take(at, axis=0)
+            blocks += [np.column_stack([log_thickness, log_density]) - extremes]
+    return np.concatenate(blocks, axis=1, dtype=np.float32)
+
+
+@compiled
+def places_of(
+    wanted: Cells, cells: Cells, table: npt.NDArray[np.int32]
+) -> npt.NDArray[np.int32]:
+    """Return which voxel each cell is, (n,); all are occupied."""
+    places = np.empty(len(wanted), np.int32)
+    for n in range(len(wanted)):
+        places[n] = find_cell(wanted[n, 0], wanted[n, 1], wanted[n, 2], cells, table)
+    return places
+
+
+@compiled
+def _neighbourhood_terms(
+    spread: npt.NDArray[np.float32], log_density: npt.NDArray[np.float64], k: int
+) -> npt.NDArray[np.float32]:
+    terms = np.empty((len(spread), 8), np.float32)
+    for i in range(len(spread)):
+        thick = max(spread[i, 0], THINNEST)
+        wide = max(spread[i, 1], thick)
+        long = max(spread[i, 2], wide)
+        size = np.log2(long)
+        terms[i, 0] = np.log2(k) - log_density[i] - 3.0 * size
+        terms[i, 1] = np.log2(thick) - size
+        terms[i, 2] = np.log2(thick / wide)
+        terms[i, 3] = np.log2(wide / long)
+        terms[i, 4] = spread[i, 3]
+        terms[i, 5] = spread[i, 4] / long
+        terms[i, 6] = size
+        terms[i, 7] = np.log2(thick)
+    return terms
