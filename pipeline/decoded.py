@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.configuration import InputParameters
 from pipeline.progress import StageObserver
+from pipeline.taking_part import left_out
 from pipeline.tiles.writing import BATCH
 from tiling.formats import PointBatch
 from tiling.formats.collection import MapCollection
@@ -29,6 +31,8 @@ class DecodedMap:
     points : (N, 3) float64 array
     classification : (N,) uint8 array or None
         Where all files have classes.
+    left_out : (N,) bool array or None
+        Points marked as noise or as deleted, where there are any.
     kept : tuple of (int, PointBatch)
         All batches of the map, each after the file that it comes from; or none.
     """
@@ -36,6 +40,7 @@ class DecodedMap:
     collection: MapCollection
     points: NDArray[np.float64]
     classification: NDArray[np.uint8] | None
+    left_out: NDArray[np.bool_] | None
     kept: tuple[tuple[int, PointBatch], ...]
 
     def batches(self, file: int) -> Iterator[PointBatch]:
@@ -48,12 +53,18 @@ class DecodedMap:
                 yield replace(batch, first_row=first_row)
 
 
-def read_map(collection: MapCollection, most_kept: int, observer: StageObserver) -> DecodedMap:
+def read_map(
+    collection: MapCollection,
+    parameters: InputParameters,
+    most_kept: int,
+    observer: StageObserver,
+) -> DecodedMap:
     """Read the points of a map; keep its records if decoding takes long and they are not many.
 
     Parameters
     ----------
     collection : MapCollection
+    parameters : InputParameters
     most_kept : int
         Bytes of records that may be kept. If they are more, none is.
     observer : StageObserver
@@ -68,6 +79,7 @@ def read_map(collection: MapCollection, most_kept: int, observer: StageObserver)
     observer.stage("reading", count)
     points = np.empty((count, 3))
     classes = np.zeros(count, np.uint8) if collection.has_classification else None
+    unwanted: NDArray[np.bool_] | None = None
     kept: list[tuple[int, PointBatch]] = []
     # Where the bytes of a file are its records, they are as soon read again.
     left = 0 if collection.writes_parts else most_kept
@@ -76,13 +88,17 @@ def read_map(collection: MapCollection, most_kept: int, observer: StageObserver)
         points[rows] = batch.xyz
         if classes is not None and batch.classification is not None:
             classes[rows] = batch.classification
+        out = left_out(batch, parameters)
+        if out.any():
+            unwanted = np.zeros(count, np.bool_) if unwanted is None else unwanted
+            unwanted[rows] = out
         left -= _size_of(batch.records)
         if left >= 0:
             kept.append((file, replace(batch, xyz=points[rows])))
         else:
             kept.clear()
         observer.advance(len(batch.xyz))
-    return DecodedMap(collection, points, classes, tuple(kept))
+    return DecodedMap(collection, points, classes, unwanted, tuple(kept))
 
 
 def _size_of(records: Any) -> int:

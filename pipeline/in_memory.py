@@ -4,7 +4,10 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
+
 from dynahull import clean
+from dynahull.checking import valid_points
 from dynahull.loading import load_libraries
 from pipeline.cleaned_map import CleanedMap
 from pipeline.configuration import Configuration
@@ -15,6 +18,7 @@ from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.report_page.sample import MapSample
 from pipeline.resources import memory_left
+from pipeline.taking_part import warn_of_left_out
 from pipeline.write_results import write_maps
 from tiling.formats.collection import MapCollection
 
@@ -30,11 +34,15 @@ def clean_in_memory(
     # Reading leaves this process time to load what the method needs.
     Thread(target=load_libraries, daemon=True).start()
     most_kept = min(MOST_KEPT, memory_left(collection, configuration) // 2)
-    decoded = read_map(collection, most_kept, observer)
+    decoded = read_map(collection, configuration.input, most_kept, observer)
+    if decoded.left_out is not None:
+        count = int(np.count_nonzero(decoded.left_out & valid_points(decoded.points)))
+        warn_of_left_out(count, configuration.input, observer)
     result = clean(
         decoded.points,
         configuration.method(),
         classification=decoded.classification,
+        left_out=decoded.left_out,
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
