@@ -55,26 +55,28 @@ class DecodedMap:
 
 def read_map(
     collection: MapCollection,
-    parameters: InputParameters,
     most_kept: int,
     observer: StageObserver,
+    parameters: InputParameters | None = None,
 ) -> DecodedMap:
     """Read the points of a map; keep its records if decoding takes long and they are not many.
 
     Parameters
     ----------
     collection : MapCollection
-    parameters : InputParameters
     most_kept : int
         Bytes of records that may be kept. If they are more, none is.
     observer : StageObserver
         Told of the reading.
+    parameters : InputParameters, optional
+        Which points are left out.
 
     Raises
     ------
     MapFormatError
         When a file is not what its header announced.
     """
+    parameters = parameters or InputParameters()
     count = collection.point_count
     observer.stage("reading", count)
     points = np.empty((count, 3))

@@ -34,7 +34,7 @@ def clean_in_memory(
     # Reading leaves this process time to load what the method needs.
     Thread(target=load_libraries, daemon=True).start()
     most_kept = min(MOST_KEPT, memory_left(collection, configuration) // 2)
-    decoded = read_map(collection, configuration.input, most_kept, observer)
+    decoded = read_map(collection, most_kept, observer, configuration.input)
     if decoded.left_out is not None:
         count = int(np.count_nonzero(decoded.left_out & valid_points(decoded.points)))
         warn_of_left_out(count, configuration.input, observer)
