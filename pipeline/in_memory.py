@@ -8,7 +8,9 @@ import numpy as np
 
 from dynahull import clean
 from dynahull.checking import valid_points
+from dynahull.labels import Label
 from dynahull.loading import load_libraries
+from dynahull.result import NO_CLUSTER
 from pipeline.cleaned_map import CleanedMap
 from pipeline.configuration import Configuration
 from pipeline.decoded import MOST_KEPT, read_map
@@ -48,7 +50,10 @@ def clean_in_memory(
     )
     views = None
     if configuration.output.report == "html":
-        sample = MapSample.of_map(decoded.points, result.labels, result.cluster, result.density)
+        # Points that took no part are in no tile of a map that is cut, and are not shown either.
+        apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
+        labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
+        sample = MapSample.of_map(decoded.points, labels, result.cluster, result.density)
         views = partial(Views.of, sample, result.clusters, configuration.removal)
     output = configuration.output
     write_maps(

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from dynahull.result import NO_CLUSTER
 
 MOST_POINTS = 300_000
 """Points that a report shows, at most."""
@@ -20,7 +19,7 @@ MOST_POINTS = 300_000
 
 @dataclass(frozen=True, slots=True)
 class MapSample:
-    """Some points of a map, and what the method made of them; no point that took no part is shown.
+    """Some points of a map, and what the method made of them; invalid points are not among them.
 
     Attributes
     ----------
@@ -57,9 +56,7 @@ class MapSample:
     ) -> Self:
         """Take the sample of a map in memory."""
         rows = sampled_rows(len(points))
-        # What is in no tile of a map that is cut is not shown of one that is not.
-        apart = (labels[rows] == Label.UNSCORED) & (cluster[rows] == NO_CLUSTER)
-        rows = rows[(labels[rows] != Label.INVALID) & ~apart]
+        rows = rows[labels[rows] != Label.INVALID]
         return cls(len(points), rows, points[rows], labels[rows], cluster[rows], density[rows])
 
     @classmethod
