@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynahull.algorithm import clean
-    from dynahull.errors import DynaHullError
+    from dynahull.errors import DynaHullError, InvalidParametersError, InvalidPointsError
     from dynahull.estimator import DynaHull
     from dynahull.labels import Label
     from dynahull.parameters import MethodParameters
@@ -21,6 +21,8 @@ __all__ = [
     "ClusterSummary",
     "DynaHull",
     "DynaHullError",
+    "InvalidParametersError",
+    "InvalidPointsError",
     "Label",
     "MethodParameters",
     "clean",
@@ -32,6 +34,8 @@ _HOMES = {
     "ClusterSummary": "result",
     "DynaHull": "estimator",
     "DynaHullError": "errors",
+    "InvalidParametersError": "errors",
+    "InvalidPointsError": "errors",
     "Label": "labels",
     "MethodParameters": "parameters",
     "clean": "algorithm",
@@ -42,3 +46,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'dynahull' has no attribute {name!r}")
     return getattr(import_module(f"dynahull.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

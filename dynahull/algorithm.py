@@ -1,15 +1,22 @@
 """Algorithm 1 of the paper: from a finished map to the points that do not belong in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dynahull.checking import (
+    checked_classes,
+    checked_mask,
+    checked_observer,
+    checked_points,
+    checked_threads,
+    valid_points,
+)
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.density import SMALLEST_CLUSTER, cluster_densities
-from dynahull.errors import InvalidPointsError
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
@@ -17,16 +24,15 @@ from dynahull.progress import Observer, SilentObserver
 from dynahull.removal import Removal, remove_least_dense
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
-
-LARGEST_COORDINATE = 1e150
-"""Metres from the origin; see `valid_points`."""
+from dynahull.strays import Outskirts, is_at_origin, warn_of_strays
 
 
 def clean(
     points: ArrayLike,
-    parameters: MethodParameters | dict[str, Any] | None = None,
+    parameters: MethodParameters | Mapping[str, Any] | str | None = None,
     *,
     classification: ArrayLike | None = None,
+    left_out: ArrayLike | None = None,
     threads: int = 1,
     observer: Observer | None = None,
     **sections: Any,
@@ -39,10 +45,13 @@ def clean(
     ----------
     points : (N, 3) array_like
         The map, in metres; NaN and infinite coordinates are allowed and labelled invalid.
-    parameters : MethodParameters or dict, optional
-        All parameters; those of the paper by default.
+    parameters : MethodParameters, dict or str, optional
+        All parameters, or the name of a ready configuration (`"paper"`, `"indoor"`, `"outdoor"`);
+        those of the paper by default.
     classification : (N,) array_like of int, optional
         ASPRS classes, for `ground.method: las_class`.
+    left_out : (N,) array_like of bool, optional
+        Points that are known to be noise: they decide nothing, and are labelled unscored.
     threads : int
         Threads of ground, clustering and density. The result does not depend on it.
     observer : Observer, optional
@@ -71,20 +80,19 @@ def clean(
     """
     coordinates = checked_points(points)
     classes = None if classification is None else checked_classes(classification, len(coordinates))
-    parameters = _chosen_parameters(parameters, sections)
-    observer = observer or SilentObserver()
+    noise = None if left_out is None else checked_mask(left_out, len(coordinates))
+    parameters = MethodParameters.chosen(parameters, sections)
+    threads = checked_threads(threads)
+    observer = SilentObserver() if observer is None else checked_observer(observer)
 
-    valid = valid_points(coordinates)
+    labels = _first_labels(coordinates, noise, parameters.neighbours.k, observer)
+    seen = labels == Label.STATIC
     ground, above = set_ground_aside(
-        coordinates, valid, parameters, classes, observer, threads=threads
+        coordinates, seen, parameters, classes, observer, threads=threads
     )
-    rows = np.flatnonzero(valid & ~ground & ~above)
+    rows = np.flatnonzero(seen & ~ground & ~above)
     clusters = find_clusters(
-        coordinates.take(rows, axis=0),
-        rows,
-        _finite_count(coordinates, valid),
-        parameters,
-        observer,
+        coordinates.take(rows, axis=0), rows, int(np.count_nonzero(seen)), parameters, observer
     )
     membership = _membership(clusters, coordinates, rows, threads)
     warn_of_clusters(
@@ -95,13 +103,14 @@ def clean(
         [len(members) for members in membership],
         parameters.removal.min_percent,
         parameters.removal.max_percent,
+        parameters.neighbours.k,
     )
     removals = [
         remove_least_dense(density, members, percentage, parameters.removal.threshold)
         for density, members, percentage in zip(densities, membership, percentages, strict=True)
     ]
     return CleaningResult(
-        labels=_merged_labels(valid, ground, above, membership, removals),
+        labels=_merged_labels(labels, ground, above, membership, removals),
         density=_scattered(np.full(len(coordinates), np.nan), membership, densities),
         cluster=_scattered(
             np.full(len(coordinates), NO_CLUSTER, np.int32), membership, range(len(membership))
@@ -110,74 +119,9 @@ def clean(
     )
 
 
-def checked_points(points: ArrayLike) -> NDArray[np.float64]:
-    """Return points as a C-ordered (N, 3) float64 array.
-
-    Raises
-    ------
-    InvalidPointsError
-        When they are anything else.
-    """
-    try:
-        array = np.asarray(points)
-    except ValueError as error:
-        raise InvalidPointsError(f"points: expected an (N, 3) array, found {error}") from error
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise InvalidPointsError(f"points: expected an (N, 3) array, found shape {array.shape}")
-    if array.dtype.kind not in "fiu":
-        raise InvalidPointsError(f"points: expected real numbers, found dtype {array.dtype}")
-    return np.ascontiguousarray(array, np.float64)
-
-
-def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:
-    """Return ASPRS classes as an (N,) uint8 array.
-
-    Raises
-    ------
-    InvalidPointsError
-        When they are anything else.
-    """
-    classes = np.asarray(classification)
-    if classes.shape != (count,):
-        raise InvalidPointsError(
-            f"classification: expected one class for each of {count} points, "
-            f"found shape {classes.shape}"
-        )
-    if count and (classes.dtype.kind not in "iu" or classes.min() < 0 or classes.max() > 255):
-        raise InvalidPointsError(
-            f"classification: expected whole numbers from 0 to 255, found dtype {classes.dtype}"
-        )
-    return classes.astype(np.uint8)
-
-
-def valid_points(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which points have coordinates that can be measured: not NaN, not infinite, not absurd.
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-
-    Returns
-    -------
-    (N,) bool array
-        False also where a coordinate is beyond `LARGEST_COORDINATE`: squared distances to such a
-        point overflow.
-    """
-    if len(points) and -LARGEST_COORDINATE <= points.min() <= points.max() <= LARGEST_COORDINATE:
-        return np.ones(len(points), np.bool_)
-    x, y, z = (np.abs(points[:, axis]) <= LARGEST_COORDINATE for axis in range(3))
-    return np.asarray(x & y & z)
-
-
-def _finite_count(points: NDArray[np.float64], valid: NDArray[np.bool_]) -> int:
-    """Count the points of finite coordinates, absurd ones among them."""
-    finite = 0 if valid.all() else int(np.isfinite(points[~valid]).all(axis=1).sum())
-    return finite + int(np.count_nonzero(valid))
-
-
 def set_ground_aside(
     points: NDArray[np.float64],
-    valid: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
     parameters: MethodParameters,
     classification: NDArray[np.uint8] | None,
     observer: Observer,
@@ -189,40 +133,41 @@ def set_ground_aside(
     Returns
     -------
     ground, above : (N,) bool arrays
-        Disjoint, and false for invalid points.
+        Disjoint, and false for points that are not `seen`.
     """
     observer.stage("ground", len(points))
     ground, above = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
-    whole = bool(valid.all())
-    finite = points if whole else points[valid]
-    classes = classification if whole or classification is None else classification[valid]
-    found = ground_mask(finite, parameters.ground, classes, threads=threads)
-    ground[valid] = found
+    whole = bool(seen.all())
+    chosen = points if whole else points[seen]
+    classes = classification if whole or classification is None else classification[seen]
+    found = ground_mask(chosen, parameters.ground, classes, threads=threads)
+    ground[seen] = found
     if parameters.max_height is not None:
-        height = height_above_ground(finite, found, parameters.ground, threads=threads)
-        above[valid] = ~found & (height > parameters.max_height)
+        height = height_above_ground(chosen, found, parameters.ground, threads=threads)
+        above[seen] = ~found & (height > parameters.max_height)
     observer.advance(len(points))
     return ground, above
 
 
-def set_aside_labels(
-    valid: NDArray[np.bool_], ground: NDArray[np.bool_], above: NDArray[np.bool_]
+def _first_labels(
+    points: NDArray[np.float64],
+    left_out: NDArray[np.bool_] | None,
+    k: int,
+    observer: Observer,
 ) -> NDArray[np.uint8]:
-    """Label the points that are not scored, each by its reason; all others are static so far.
-
-    Parameters
-    ----------
-    valid, ground, above : (N,) bool arrays
-        See `valid_points` and `set_ground_aside`.
-
-    Returns
-    -------
-    (N,) uint8 array
-    """
-    labels = np.full(len(valid), Label.STATIC, np.uint8)
-    labels[~valid] = Label.INVALID
-    labels[ground] = Label.GROUND
-    labels[above] = Label.ABOVE
+    """Label the points that decide nothing, each by its reason; all others are static so far."""
+    seen = valid_points(points)
+    labels = np.where(seen, Label.STATIC, Label.INVALID).astype(np.uint8)
+    if left_out is not None:
+        labels[seen & left_out] = Label.UNSCORED
+        seen = seen & ~left_out
+    outskirts = Outskirts(k)
+    outskirts.add(points, chosen=seen)
+    strays = outskirts.strays()
+    warn_of_strays(strays.heap, len(strays.rows), observer)
+    if strays.heap:
+        labels[seen & is_at_origin(points)] = Label.INVALID
+    labels[strays.rows] = Label.UNSCORED
     return labels
 
 
@@ -265,14 +210,6 @@ def warn_of_clusters(counts: Sequence[int], wanted: int, observer: Observer) -> 
             observer.warn(f"cluster {index} has {count} points: too few for a hull, kept")
 
 
-def _chosen_parameters(
-    parameters: MethodParameters | dict[str, Any] | None, sections: dict[str, Any]
-) -> MethodParameters:
-    if parameters is None or isinstance(parameters, dict):
-        return MethodParameters.of((parameters or {}) | sections)
-    return MethodParameters.of(dict(parameters) | sections) if sections else parameters
-
-
 def _membership(
     clusters: Clusters, points: NDArray[np.float64], rows: NDArray[np.int64], threads: int
 ) -> list[NDArray[np.int64]]:
@@ -298,14 +235,15 @@ def _densities(
 
 
 def _merged_labels(
-    valid: NDArray[np.bool_],
+    labels: NDArray[np.uint8],
     ground: NDArray[np.bool_],
     above: NDArray[np.bool_],
     membership: Sequence[NDArray[np.int64]],
     removals: Sequence[Removal],
 ) -> NDArray[np.uint8]:
     """Put static, dynamic and set-aside points together again (the last step of Algorithm 1)."""
-    labels = set_aside_labels(valid, ground, above)
+    labels[ground] = Label.GROUND
+    labels[above] = Label.ABOVE
     for members, removal in zip(membership, removals, strict=True):
         if len(members) < SMALLEST_CLUSTER:
             labels[members] = Label.UNSCORED

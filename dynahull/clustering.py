@@ -72,7 +72,7 @@ def sample_rows(
     rows : (n,) int64 array
         Distinct row numbers of ground-free points.
     total : int
-        Points of the whole map that have finite coordinates, ground included.
+        Points of the whole map that take part, ground included: neither invalid nor left out.
     parameters : ClusteringParameters
         `sample` and `seed` are used.
 

@@ -4,14 +4,16 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from dynahull.algorithm import clean
+from dynahull.checking import as_array, remedy
 from dynahull.clustering import Clusters
 from dynahull.density import SMALLEST_CLUSTER, reference_densities
-from dynahull.errors import InvalidPointsError
+from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.parameters import MethodParameters
 
 
@@ -93,10 +95,11 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         DynaHull
             Itself.
         """
-        points = validate_data(self, X, dtype=np.float64, order="C", ensure_min_samples=2)
+        points = self._checked(X, ensure_min_samples=2)
         if points.shape[1] != 3:
             raise InvalidPointsError(
                 f"X: expected 3 features (x, y, z), found {points.shape[1]} feature(s)"
+                f"{remedy(points.shape, 'X')}"
             )
         result = clean(points, self._parameters())
         self.labels_ = np.where(result.kept, 1, -1)
@@ -142,7 +145,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
             hull has no volume or they are fewer than four.
         """
         check_is_fitted(self)
-        points = validate_data(self, X, dtype=np.float64, order="C", reset=False)
+        points = self._checked(X, reset=False)
         scores = np.full(len(points), np.inf)
         if not len(self.cluster_centers_):
             return scores
@@ -155,10 +158,23 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
                 )
         return scores
 
+    def _checked(self, given: ArrayLike, **wanted: Any) -> NDArray[np.float64]:
+        """Return points as scikit-learn wants them; what is no array is refused at once."""
+        if not issparse(given):  # whose error is scikit-learn's own
+            given = as_array(given, "X", "an (n_samples, 3) array")
+        try:
+            checked = validate_data(self, given, dtype=np.float64, order="C", **wanted)
+        except (TypeError, ValueError) as error:
+            raise InvalidPointsError(f"X: {' '.join(str(error).split())}") from error
+        return np.asarray(checked)
+
     def _seed(self) -> int:
         if isinstance(self.random_state, int | np.integer):
             return int(self.random_state)
-        return int(check_random_state(self.random_state).randint(2**31))
+        try:
+            return int(check_random_state(self.random_state).randint(2**31))
+        except ValueError as error:
+            raise InvalidParametersError(f"random_state: {error}") from error
 
     def _parameters(self) -> MethodParameters:
         return MethodParameters.of(

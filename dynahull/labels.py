@@ -18,9 +18,9 @@ class Label(IntEnum):
     ABOVE = 3
     """Higher than `max_height` above the local ground, set aside: kept."""
     UNSCORED = 4
-    """In a cluster of fewer than four points, which have no hull: kept."""
+    """Left out as noise, a stray, or in a cluster of fewer than four points: kept in place."""
     INVALID = 5
-    """A coordinate is NaN or infinite: kept in place."""
+    """A coordinate is NaN or infinite, or the point is of a heap at the origin: kept in place."""
 
     @property
     def title(self) -> str:

@@ -1,6 +1,6 @@
 """Parameters of the method, one small model a step; the same names in YAML and in Python."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, Literal, Self, get_args
 
@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from dynahull.errors import InvalidParametersError
 from dynahull.ground.parameters import GroundParameters
+from dynahull.ready import READY
 
 __all__ = [
     "ClusteringParameters",
@@ -118,6 +119,36 @@ class MethodParameters(_Section):
     removal: RemovalParameters = RemovalParameters()
 
     @classmethod
+    def chosen(
+        cls, given: "MethodParameters | Mapping[str, Any] | str | None", sections: Mapping[str, Any]
+    ) -> "MethodParameters":
+        """Return what is given, whole or by name, with single sections in place of its own.
+
+        Raises
+        ------
+        InvalidParametersError
+            When there is nothing of that name, or a name or a value is not allowed.
+        """
+        if isinstance(given, str):
+            if given not in READY:
+                raise InvalidParametersError(
+                    f"parameters: expected the name of a ready configuration ({', '.join(READY)}), "
+                    f"found {given!r:.200}; the command line reads files"
+                )
+            given = READY[given]
+        if isinstance(given, MethodParameters):
+            if not sections:
+                return given
+            given = {name: getattr(given, name) for name in MethodParameters.model_fields}
+        if given is not None and not isinstance(given, Mapping):
+            raise InvalidParametersError(
+                "parameters: expected MethodParameters, a dictionary of sections, or the name of "
+                f"a ready configuration ({', '.join(READY)}), found an object of type "
+                f"{type(given).__name__}"
+            )
+        return cls.of({**(given or {}), **sections})
+
+    @classmethod
     def of(cls, sections: dict[str, Any]) -> Self:
         """Build from sections given as models or as plain dictionaries.
 
@@ -145,7 +176,7 @@ def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
     """
     errors = invalid.errors()
     error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])
-    place = ".".join(str(part) for part in error["loc"])
+    place = ".".join(str(part) for part in error["loc"]) or "parameters"
     if error["type"] != "extra_forbidden":
         message = error["msg"].removeprefix("Value error, ")
         found = "" if isinstance(error["input"], dict) else f", found {error['input']!r}"

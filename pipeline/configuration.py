@@ -87,8 +87,12 @@ class ClassParameters(BaseModel):
     )
     ground: Class = Field(2, description="Of the ground; 2 is ground (ASPRS).")
     above: Class = Field("keep", description="Of what `max_height` sets aside.")
-    unscored: Class = Field("keep", description="Of what is in a cluster of too few points.")
-    invalid: Class = Field("keep", description="Of points whose coordinates are not finite.")
+    unscored: Class = Field(
+        "keep", description="Of noise, strays, and what is in a cluster of too few points."
+    )
+    invalid: Class = Field(
+        "keep", description="Of points whose coordinates are not finite, or a heap at the origin."
+    )
 
     def of_labels(self) -> dict[Label, int | None]:
         """Return the class of each label, None for the points' own."""
@@ -129,9 +133,34 @@ class OutputParameters(BaseModel):
         return self.labels or self.mode == "label"
 
 
+AnyClass = Annotated[int, Field(ge=0, le=255, strict=True)]
+
+
+class InputParameters(BaseModel):
+    """How the map is understood."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    unit: Literal["auto", "metre", "foot", "us_survey_foot"] = Field(
+        "auto",
+        description="Of the coordinates. `auto`: as the map's coordinate reference system says, "
+        "metres where it says nothing; degrees are refused. All lengths in this configuration are "
+        "metres, whatever the map is in; outputs are in the map's own unit.",
+    )
+    leave_out: tuple[AnyClass, ...] = Field(
+        (7, 18),
+        description="ASPRS classes of points that decide nothing and stay in place, `unscored`; 7 "
+        "is low noise, 18 is high noise. Maps in LAS or LAZ.",
+    )
+    leave_out_withheld: bool = Field(
+        True, description="The same of points with the flag `withheld`: deleted, as LAS has it."
+    )
+
+
 class Configuration(MethodParameters):
     """Everything a run can be told: the sections of the method, and those of the product."""
 
+    input: InputParameters = InputParameters()
     tiling: TilingParameters = TilingParameters()
     execution: ExecutionParameters = ExecutionParameters()
     cluster: ClusterParameters = ClusterParameters()

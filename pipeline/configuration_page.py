@@ -53,7 +53,7 @@ def _tables(model: type[BaseModel], place: str) -> str:
 
 def _written(value: object) -> str:
     """Return a value as YAML writes it."""
-    return str(yaml.safe_dump(value)).split("\n", maxsplit=1)[0]
+    return str(yaml.safe_dump(value, default_flow_style=None)).split("\n", maxsplit=1)[0]
 
 
 def _allowed(field: FieldInfo) -> str:
@@ -62,7 +62,7 @@ def _allowed(field: FieldInfo) -> str:
     if get_origin(field.annotation) is Literal:
         return ", ".join(f"`{option}`" for option in options)
     if get_origin(field.annotation) is tuple:
-        return "list of text"
+        return "list of text" if get_args(field.annotation)[0] is str else "list of whole numbers"
     kinds, bounds = [], list(field.metadata)
     for option in options:
         if get_origin(option) is Annotated:

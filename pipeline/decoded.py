@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.configuration import InputParameters
 from pipeline.progress import StageObserver
+from pipeline.taking_part import left_out
 from pipeline.tiles.writing import BATCH
 from tiling.formats import PointBatch
 from tiling.formats.collection import MapCollection
@@ -29,6 +31,8 @@ class DecodedMap:
     points : (N, 3) float64 array
     classification : (N,) uint8 array or None
         Where all files have classes.
+    left_out : (N,) bool array or None
+        Points marked as noise or as deleted, where there are any.
     kept : tuple of (int, PointBatch)
         All batches of the map, each after the file that it comes from; or none.
     """
@@ -36,6 +40,7 @@ class DecodedMap:
     collection: MapCollection
     points: NDArray[np.float64]
     classification: NDArray[np.uint8] | None
+    left_out: NDArray[np.bool_] | None
     kept: tuple[tuple[int, PointBatch], ...]
 
     def batches(self, file: int) -> Iterator[PointBatch]:
@@ -48,7 +53,12 @@ class DecodedMap:
                 yield replace(batch, first_row=first_row)
 
 
-def read_map(collection: MapCollection, most_kept: int, observer: StageObserver) -> DecodedMap:
+def read_map(
+    collection: MapCollection,
+    most_kept: int,
+    observer: StageObserver,
+    parameters: InputParameters | None = None,
+) -> DecodedMap:
     """Read the points of a map; keep its records if decoding takes long and they are not many.
 
     Parameters
@@ -58,16 +68,20 @@ def read_map(collection: MapCollection, most_kept: int, observer: StageObserver)
         Bytes of records that may be kept. If they are more, none is.
     observer : StageObserver
         Told of the reading.
+    parameters : InputParameters, optional
+        Which points are left out.
 
     Raises
     ------
     MapFormatError
         When a file is not what its header announced.
     """
+    parameters = parameters or InputParameters()
     count = collection.point_count
     observer.stage("reading", count)
     points = np.empty((count, 3))
     classes = np.zeros(count, np.uint8) if collection.has_classification else None
+    unwanted: NDArray[np.bool_] | None = None
     kept: list[tuple[int, PointBatch]] = []
     # Where the bytes of a file are its records, they are as soon read again.
     left = 0 if collection.writes_parts else most_kept
@@ -76,13 +90,17 @@ def read_map(collection: MapCollection, most_kept: int, observer: StageObserver)
         points[rows] = batch.xyz
         if classes is not None and batch.classification is not None:
             classes[rows] = batch.classification
+        out = left_out(batch, parameters)
+        if out.any():
+            unwanted = np.zeros(count, np.bool_) if unwanted is None else unwanted
+            unwanted[rows] = out
         left -= _size_of(batch.records)
         if left >= 0:
             kept.append((file, replace(batch, xyz=points[rows])))
         else:
             kept.clear()
         observer.advance(len(batch.xyz))
-    return DecodedMap(collection, points, classes, tuple(kept))
+    return DecodedMap(collection, points, classes, unwanted, tuple(kept))
 
 
 def _size_of(records: Any) -> int:

@@ -4,8 +4,13 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
+
 from dynahull import clean
+from dynahull.checking import valid_points
+from dynahull.labels import Label
 from dynahull.loading import load_libraries
+from dynahull.result import NO_CLUSTER
 from pipeline.cleaned_map import CleanedMap
 from pipeline.configuration import Configuration
 from pipeline.decoded import MOST_KEPT, read_map
@@ -15,6 +20,7 @@ from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.report_page.sample import MapSample
 from pipeline.resources import memory_left
+from pipeline.taking_part import warn_of_left_out
 from pipeline.write_results import write_maps
 from tiling.formats.collection import MapCollection
 
@@ -30,17 +36,24 @@ def clean_in_memory(
     # Reading leaves this process time to load what the method needs.
     Thread(target=load_libraries, daemon=True).start()
     most_kept = min(MOST_KEPT, memory_left(collection, configuration) // 2)
-    decoded = read_map(collection, most_kept, observer)
+    decoded = read_map(collection, most_kept, observer, configuration.input)
+    if decoded.left_out is not None:
+        count = int(np.count_nonzero(decoded.left_out & valid_points(decoded.points)))
+        warn_of_left_out(count, configuration.input, observer)
     result = clean(
         decoded.points,
         configuration.method(),
         classification=decoded.classification,
+        left_out=decoded.left_out,
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
     views = None
     if configuration.output.report == "html":
-        sample = MapSample.of_map(decoded.points, result.labels, result.cluster, result.density)
+        # Points that took no part are in no tile of a map that is cut, and are not shown either.
+        apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
+        labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
+        sample = MapSample.of_map(decoded.points, labels, result.cluster, result.density)
         views = partial(Views.of, sample, result.clusters, configuration.removal)
     output = configuration.output
     write_maps(

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from pipeline.units import in_words
 from tiling.formats import MapReader
 from tiling.formats.collection import MapCollection, find_map_files
+from tiling.formats.units import Units
 
 
 class FileInfo(BaseModel):
@@ -20,6 +22,8 @@ class FileInfo(BaseModel):
     points: int
     fields: list[str]
     crs: str | None
+    unit: str | None
+    system: str
     notes: list[str]
 
     @classmethod
@@ -36,6 +40,8 @@ class FileInfo(BaseModel):
                 for field in said.fields
             ],
             crs=said.crs,
+            unit=None if said.units is None else str(said.units),
+            system=in_words(said),
             notes=list(said.notes),
         )
 
@@ -47,8 +53,10 @@ class MapInfo(BaseModel):
     ----------
     files : list of FileInfo
     points : int
+    units : tuple of str
+        Of x, y and z, those of the first file that tells them.
     minimum, maximum : tuple of float or None
-        Bounds of the finite points, in metres; None where there are none.
+        Bounds of the finite points, in the map's units; None where there are none.
     non_finite : int
         Points with a coordinate that is NaN or infinite.
     duplicates : int
@@ -59,6 +67,7 @@ class MapInfo(BaseModel):
 
     files: list[FileInfo]
     points: int
+    units: tuple[str, str, str] = ("m", "m", "m")
     minimum: tuple[float, float, float] | None
     maximum: tuple[float, float, float] | None
     non_finite: int
@@ -70,13 +79,15 @@ class MapInfo(BaseModel):
         for file in self.files:
             lines += [f"file        {file.path}", f"format      {file.format}"]
             lines += [f"points      {file.points:,}", f"size        {file.size_bytes:,} bytes"]
-            lines += [f"fields      {', '.join(file.fields)}", f"CRS         {file.crs or 'none'}"]
+            lines += [f"fields      {', '.join(file.fields)}", f"CRS         {file.system}"]
             lines += [f"note        {note}" for note in file.notes] + [""]
         if len(self.files) > 1:
             lines.append(f"all points  {self.points:,} in {len(self.files)} files")
         if self.minimum and self.maximum:
-            for axis, low, high in zip("xyz", self.minimum, self.maximum, strict=True):
-                lines.append(f"{axis}           {low:,.3f} to {high:,.3f} ({high - low:,.3f} m)")
+            bounds = zip("xyz", self.minimum, self.maximum, self.units, strict=True)
+            for axis, low, high, unit in bounds:
+                size = f"{high - low:,.3f} {unit}"
+                lines.append(f"{axis}           {low:,.3f} to {high:,.3f} ({size})")
         lines.append(f"non-finite  {self.non_finite:,}")
         lines.append(f"duplicates  {self.duplicates:,}")
         return "\n".join(lines)
@@ -111,6 +122,7 @@ def inspect_map(maps: Sequence[str | Path]) -> MapInfo:
     return MapInfo(
         files=[FileInfo.of(reader) for reader in collection.readers],
         points=collection.point_count,
+        units=_symbols(collection),
         minimum=_triple(low) if finite_count else None,
         maximum=_triple(high) if finite_count else None,
         non_finite=collection.point_count - finite_count,
@@ -134,6 +146,13 @@ def count_duplicates(batches: Sequence[NDArray[np.float64]]) -> int:
     order = np.lexsort((points[:, 2], points[:, 1], points[:, 0]))
     points = points[order]
     return int(np.count_nonzero((points[1:] == points[:-1]).all(axis=1)))
+
+
+def _symbols(collection: MapCollection) -> tuple[str, str, str]:
+    said = [reader.description.units for reader in collection.readers]
+    units = next((each for each in said if each is not None), Units(None))
+    across = units.horizontal.symbol if units.horizontal else "m"
+    return across, across, units.vertical.symbol if units.vertical else across
 
 
 def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -4,7 +4,7 @@ The part is a map of its own, in the format of the whole, and cleaned by an ordi
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,13 @@ from pipeline.outputs import default_folder
 from pipeline.progress import StageObserver
 from pipeline.report import RunReport
 from pipeline.run import run
+from pipeline.taking_part import survey_map
+from pipeline.units import open_collection
 from tiling.atomic import atomic_file
 from tiling.formats.base import PointBatch
 from tiling.formats.collection import MapCollection, find_map_files
 from tiling.occupancy import Occupancy
-from tiling.survey import Survey, survey_batches
+from tiling.survey import Survey
 
 SMALLEST_SIDE = 4.0
 """Metres: a window that is chosen is no narrower, and thinned where it holds too many points."""
@@ -102,7 +104,8 @@ def preview(
         As for `run`.
     """
     paths = find_map_files(maps)
-    collection = MapCollection(paths, threads=available_cores(configuration.execution.workers))
+    cores = available_cores(configuration.execution.workers)
+    collection = open_collection(paths, configuration.input, cores)
     folder = output or _preview_folder(paths)
     values = configuration.model_dump()
     values["output"]["report"] = "html"
@@ -110,7 +113,7 @@ def preview(
     if window is None and collection.point_count <= points:
         return run(list(paths), folder, configuration, observer)
     if window is None:
-        window = _choose_window(collection, points, observer)
+        window = _choose_window(collection, configuration, points, observer)
     part = _Part(points)
     observer.stage("selecting", collection.point_count)
     for file, batch in collection.batches():
@@ -194,13 +197,17 @@ def _together(
     return places, np.bincount(inverse, counts).astype(np.int64)
 
 
-def _choose_window(collection: MapCollection, points: int, observer: StageObserver) -> Window:
-    survey = _look_at(collection, observer)
+def _choose_window(
+    collection: MapCollection, configuration: Configuration, points: int, observer: StageObserver
+) -> Window:
+    survey = _look_at(collection, configuration, observer)
     scale = collection.point_count / max(survey.point_count, 1)
     return typical_window(survey.occupancy, scale, round(_FILLED * points))
 
 
-def _look_at(collection: MapCollection, observer: StageObserver) -> Survey:
+def _look_at(
+    collection: MapCollection, configuration: Configuration, observer: StageObserver
+) -> Survey:
     """Survey a map, or some places of one that is large and can be read anywhere."""
     total = collection.point_count
     seekable = all(reader.seekable for reader in collection.readers)
@@ -210,7 +217,8 @@ def _look_at(collection: MapCollection, observer: StageObserver) -> Survey:
         starts = [total * look // looks for look in range(looks)]
         ranges = [range(start, start + _LOOKED_AT // looks) for start in starts]
     observer.stage("looking", sum(len(rows) for rows in ranges))
-    return survey_batches(_batches(collection, ranges, observer))
+    survey, _ = survey_map(_batches(collection, ranges, observer), configuration)
+    return survey
 
 
 def _batches(
@@ -269,7 +277,7 @@ class _Part:
 
 
 def _selected(batch: PointBatch, chosen: NDArray[np.bool_]) -> PointBatch:
-    return replace(batch, xyz=batch.xyz[chosen], records=batch.select(chosen), classification=None)
+    return PointBatch(batch.first_row, batch.xyz[chosen], batch.select(chosen))
 
 
 def _ranks(first_row: int, count: int) -> NDArray[np.float64]:

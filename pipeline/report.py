@@ -14,6 +14,7 @@ from pipeline.configuration import Configuration
 from pipeline.machine import peak_memory
 from pipeline.outputs import LABELS_FILE, REPORT_FILE, RUN_FILE, OutputNames
 from pipeline.progress import StageObserver
+from pipeline.units import of_map
 from tiling.formats.collection import MapCollection
 
 
@@ -85,6 +86,8 @@ class RunReport(BaseModel):
     peak_memory_bytes : int
         Of this process.
     warnings : list of str
+    system : str
+        Coordinate reference system and unit of the map, in words.
     configuration : dict
         As resolved; the same as in `config.yaml`.
     """
@@ -103,6 +106,7 @@ class RunReport(BaseModel):
     seconds: dict[str, float]
     peak_memory_bytes: int
     warnings: list[str]
+    system: str = ""
     configuration: dict[str, Any]
 
     @classmethod
@@ -136,6 +140,7 @@ class RunReport(BaseModel):
             seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
             warnings=observer.warnings,
+            system=of_map(collection, configuration.input),
             configuration=configuration.model_dump(mode="json"),
         )
 
@@ -160,6 +165,8 @@ class RunReport(BaseModel):
             f"{removed:,} of {self.points:,} points removed ({share:.1f} %)",
             f"kept: {kept or 'nothing'}",
         ]
+        if not self.system.startswith("none, metres"):
+            lines.append(f"coordinates: {self.system}")
         if self.clusters:
             lines.append(f"{'cluster':>9}{'points':>14}{'R_i':>9}{'threshold':>14}{'removed':>12}")
         for cluster in self.clusters:

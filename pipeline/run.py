@@ -35,6 +35,7 @@ from pipeline.report_page.tile_chart import TileWork
 from pipeline.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.tiles.fitting import fitting
 from pipeline.tiles.work import WORK_FOLDER, remove_work
+from pipeline.units import open_collection
 from pipeline.workers import prepare_workers
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
 
@@ -74,7 +75,7 @@ def run(
     """
     paths = find_map_files(maps)
     cores = available_cores(configuration.execution.workers)
-    collection = MapCollection(paths, threads=cores)
+    collection = open_collection(paths, configuration.input, cores)
     folder = output or default_folder(paths)
     if any(Path(each).is_dir() and Path(each).resolve() == folder.resolve() for each in maps):
         raise OutputError(f"{folder}: this folder is the input; choose another -o")

@@ -42,6 +42,10 @@ class UnknownFormatError(MapFormatError):
     """No reader knows the file's kind."""
 
 
+class CoordinateSystemError(MapFormatError):
+    """A map's coordinates are angles, or those of its files are not of one system."""
+
+
 class PointCountError(TilingError):
     """A writer was given more or fewer points than it was opened for."""
 

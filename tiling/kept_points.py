@@ -140,7 +140,8 @@ class KeptPoints:
     def _batch(self, file: int, first: int, kept: NDArray[Any]) -> PointBatch:
         if not self.has_records:
             return PointBatch(first, kept, None)
-        return self.collection.readers[file].batch_of(first, kept)
+        batch = self.collection.readers[file].batch_of(first, kept)
+        return self.collection.in_metres(batch)
 
     def _read(self, stream: BinaryIO, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
         kept = np.empty(count, dtype)

@@ -46,6 +46,15 @@ class Occupancy:
     columns: Columns
     counts: NDArray[np.int64]
 
+    def without(self, xyz: NDArray[np.float64]) -> "Occupancy":
+        """Return the occupancy without some of the points that it counts, few of them."""
+        counts = self.counts.copy()
+        for x, y in columns_of(xyz, self.cell).tolist():
+            first, end = np.searchsorted(self.columns[:, 0], [x, x + 1])
+            counts[first + np.searchsorted(self.columns[first:end, 1], y)] -= 1
+        occupied = counts > 0
+        return Occupancy(self.cell, self.columns[occupied], counts[occupied])
+
 
 def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
     """Return the lattice column of each point: floor(x / cell), floor(y / cell).

@@ -39,6 +39,18 @@ class Survey:
     maximum: NDArray[np.float64]
     occupancy: Occupancy
 
+    def without(
+        self, xyz: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+    ) -> "Survey":
+        """Return the survey without some of its finite points, the others being within a box."""
+        return Survey(
+            self.point_count,
+            self.finite_count - len(xyz),
+            np.maximum(self.minimum, low),
+            np.minimum(self.maximum, high),
+            self.occupancy.without(xyz),
+        )
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the survey as arrays, for a file that hands it from one process to another."""
         return {

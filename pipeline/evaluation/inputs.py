@@ -1,12 +1,14 @@
 """Finding what is to be compared: maps, labels, and what a run left in its folder."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
 from dynahull import Label
+from pipeline.configuration import InputParameters
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.labels import (
     is_label_table,
@@ -18,6 +20,7 @@ from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.row_values import RowValues
 from pipeline.outputs import LABELS_FILE, RUN_FILE
 from pipeline.result import label_batches, table_batches
+from pipeline.units import open_collection
 from tiling.formats.collection import MapCollection, find_map_files
 
 
@@ -87,7 +90,7 @@ def find_inputs(
     ConfigurationError, EvaluationError, TilingError
     """
     run = _read_run(Path(cleaned))
-    cleaned_map = MapCollection(run.cleaned if run else find_map_files([cleaned]))
+    cleaned_map = _opened(run.cleaned if run else find_map_files([cleaned]))
     kept = _kept_rows(run) if run and run.labelled else None
     dynamic = parse_values("--dynamic", options.dynamic)
     unlabelled = parse_values("--unlabelled", options.unlabelled)
@@ -105,14 +108,14 @@ def find_inputs(
                 f"{original_map.name}, found {rows:,}"
             )
     elif options.labels is not None:
-        original_map = MapCollection(find_map_files([truth]))
+        original_map = _opened(find_map_files([truth]))
         if original is not None and not _same_files(find_map_files([original]), original_map.paths):
             raise ConfigurationError(
                 "--original: with --labels it is the labelled map, --truth; leave it out"
             )
         labels = read_labels_of_map(original_map, options.labels, dynamic, unlabelled)
     else:
-        truth_map = MapCollection(find_map_files([truth]))
+        truth_map = _opened(find_map_files([truth]))
         original_map = _original(original, run)
     options.refuse_unused(labelled=labels is not None, original=original_map is not None)
     removed = _removed_rows(run, kept, cleaned_map, original_map) if run and original_map else None
@@ -140,9 +143,9 @@ def _read_run(folder: Path) -> _RunFolder | None:
 def _original(original: str | None, run: _RunFolder | None) -> MapCollection | None:
     """Return the map given, or else the one that the run was given, if it is still there."""
     if original is not None:
-        return MapCollection(find_map_files([original]))
+        return _opened(find_map_files([original]))
     if run is not None and all(path.is_file() for path in run.originals):
-        return MapCollection(run.originals)
+        return _opened(run.originals)
     return None
 
 
@@ -176,3 +179,8 @@ def _removed_rows(
 
 def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:
     return [path.resolve() for path in first] == [path.resolve() for path in second]
+
+
+def _opened(paths: Sequence[Path]) -> MapCollection:
+    """Open a map, whose points come in metres."""
+    return open_collection(paths, InputParameters())

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.algorithm import valid_points
+from dynahull.checking import valid_points
 from dynahull.progress import Observer
 from pipeline.errors import EvaluationError
 from pipeline.evaluation.labels import Labels, Truth

@@ -14,10 +14,12 @@ from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
+from dynahull.strays import OUTSKIRTS_NAMES, Outskirts
 from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
+from pipeline.taking_part import survey_of_others
 from pipeline.tiles.cutting import make_copies
 from pipeline.tiles.execution import Executor
 from pipeline.tiles.fitting import Fit, import_meanwhile
@@ -28,12 +30,15 @@ from pipeline.tiles.row_results import RowResults
 from pipeline.tiles.scores import KeptScores
 from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.stages import do_stage, exhaust
+from pipeline.tiles.taking_part import save_set_aside, set_aside, warn_of_set_aside
 from pipeline.tiles.work import TaskReport, remove_work
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
 from tiling.errors import GridError
 from tiling.grid import grid_of
 from tiling.survey import Survey, merge
+
+_SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +106,13 @@ def plan_tiles(
     make_copies(job)
     rows = [len(part) for part in job.row_ranges]
     reports = do_stage(job, executor, observer, "survey", rows)
-    surveys = _surveys(job, reports)
     if (job.root / CHUNKS_FOLDER / "store.json").exists():
-        exhaust(surveys)
+        exhaust(reports)
+        warn_of_set_aside(job, observer)
         return
     try:
-        survey = merge(surveys)
+        survey = _whole_survey(job, reports)
+        warn_of_set_aside(job, observer)
         plan = make_plan(job.collection, survey, job.configuration, executor.workers)
         check(plan)
     except (PlanError, GridError):
@@ -162,11 +168,24 @@ def find_clusters(job: Job, observer: StageObserver, fit: Fit) -> None:
         np.save(stream, clusters.centroids)
 
 
-def _surveys(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Iterator[Survey]:
-    """Yield the survey of each range of rows as it is ready."""
-    names = ("point_counts", "bounds", "cell", "columns", "counts")
-    for number, _ in reports:
-        yield Survey.from_arrays(*job.work.load("survey", number, *names))
+def _whole_survey(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Survey:
+    """Put the surveys of all ranges of rows together, and find who takes no part."""
+    outskirts = Outskirts(job.configuration.neighbours.k)
+    left_out = 0
+
+    def surveys() -> Iterator[Survey]:
+        nonlocal left_out
+        for number, report in reports:
+            outskirts.merge(
+                Outskirts.from_arrays(*job.work.load("survey", number, *OUTSKIRTS_NAMES))
+            )
+            left_out += report.counts[0]
+            yield Survey.from_arrays(*job.work.load("survey", number, *_SURVEY_NAMES))
+
+    merged = merge(surveys())
+    strays = outskirts.strays()
+    save_set_aside(job, strays, left_out)
+    return survey_of_others(merged, strays)
 
 
 def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) -> ChunkStore:
@@ -207,7 +226,8 @@ def _rescaled(
     present = counts[counts >= 0].tolist()
     wanted = job.configuration.clustering.count
     warn_of_clusters(present, wanted, observer)
-    percentages = removal_percentages(present, removal.min_percent, removal.max_percent)
+    k = job.configuration.neighbours.k
+    percentages = removal_percentages(present, removal.min_percent, removal.max_percent, k)
     if job.configuration.clustering.scope == "tile":
         if present:
             save_cuts(job, present, None)
@@ -224,8 +244,10 @@ class _Labelled:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._labels = np.zeros(len(Label), np.int64)
-        # Coordinates that are not finite are in no tile.
-        self._labels[Label.INVALID] = job.collection.point_count - job.finite_count
+        # Points that take no part are in no tile.
+        unscored = set_aside(job).unscored
+        self._labels[Label.UNSCORED] = unscored
+        self._labels[Label.INVALID] = job.collection.point_count - job.finite_count - unscored
         self._removed: dict[int, int] = {}
 
     def add(self, tile: int, report: TaskReport) -> None:

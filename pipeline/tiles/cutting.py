@@ -1,11 +1,14 @@
 """Tasks that read the map: its survey, and its points cut into chunks."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
+from pipeline.taking_part import Watcher
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import make_rows, write_rows
+from pipeline.tiles.taking_part import PointsTakingPart, make_left_out, note_left_out
 from pipeline.tiles.work import TaskReport
 from tiling.chunks import assemble
 from tiling.formats.base import PointBatch
@@ -19,6 +22,7 @@ def make_copies(job: Job) -> None:
         return
     if job.needs_classes:
         make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
+    make_left_out(job)
     if job.decoded is not None:
         job.decoded.make()
 
@@ -30,8 +34,10 @@ def survey_rows(job: Job, number: int) -> TaskReport:
     batches = (batch for _, batch in read) if job.decoded is None else job.decoded.keep(read)
     if job.needs_classes:
         batches = _classes_kept(job, batches)
-    job.work.save("survey", number, **survey_batches(batches).to_arrays())
-    return TaskReport(len(rows))
+    watcher = Watcher(job.configuration, partial(note_left_out, job))
+    survey = survey_batches(watcher.watch(batches))
+    job.work.save("survey", number, **survey.to_arrays(), **watcher.outskirts.to_arrays())
+    return TaskReport(len(rows), (watcher.left_out,))
 
 
 def _classes_kept(job: Job, batches: Iterator[PointBatch]) -> Iterator[PointBatch]:
@@ -44,7 +50,7 @@ def _classes_kept(job: Job, batches: Iterator[PointBatch]) -> Iterator[PointBatc
 def cut_rows(job: Job, number: int) -> TaskReport:
     """Sort one range of rows by tile into a piece."""
     rows = job.cut_ranges[number]
-    written = write_pieces(job.store, job.decoded or job.collection, rows, number)
+    written = write_pieces(job.store, PointsTakingPart(job), rows, number)
     return TaskReport(len(rows), (written,))
 
 

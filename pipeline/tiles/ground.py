@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.algorithm import set_aside_labels, set_ground_aside, valid_points
+from dynahull.algorithm import set_ground_aside
 from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.progress import SilentObserver
@@ -82,11 +82,13 @@ def _labelled(job: Job, chunk: Chunk, box: Region, sides: int) -> tuple[Chunk, N
     classes = None
     if job.needs_classes:
         classes = open_rows(job.rows_path("class"), np.uint8)[points.rows]
-    valid = valid_points(points.xyz)
+    every = np.ones(len(points), np.bool_)
     parameters = job.configuration.method()
-    ground, above = set_ground_aside(points.xyz, valid, parameters, classes, SilentObserver())
+    ground, above = set_ground_aside(points.xyz, every, parameters, classes, SilentObserver())
+    labels = np.full(len(points), Label.STATIC, np.uint8)
+    labels[ground], labels[above] = Label.GROUND, Label.ABOVE
     inside = box.holds(points.xyz)
-    return points.select(inside), set_aside_labels(valid, ground, above)[inside]
+    return points.select(inside), labels[inside]
 
 
 def region_of(job: Job, tile: int) -> Region:

@@ -15,6 +15,7 @@ from pipeline.configuration import Configuration
 from pipeline.map_state import MapState
 from pipeline.plan import decision_radius
 from pipeline.tiles.work import WorkFolder
+from pipeline.units import open_collection
 from tiling.chunk_store import ChunkStore
 from tiling.formats.collection import MapCollection
 from tiling.kept_points import KeptPoints
@@ -75,7 +76,7 @@ class Job:
     @cached_property
     def collection(self) -> MapCollection:
         """The map."""
-        return MapCollection(self.paths)
+        return open_collection(self.paths, self.configuration.input)
 
     @cached_property
     def row_ranges(self) -> list[range]:
@@ -120,7 +121,7 @@ class Job:
 
     @property
     def finite_count(self) -> int:
-        """Points of the map whose coordinates are finite."""
+        """Points of the map that take part, and are in tiles."""
         return int(self.store.layout.counts.sum())
 
     def rows_path(self, name: str) -> Path:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.labels import Label
-from dynahull.rescale import removal_percentages
+from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.result import NO_CLUSTER
 from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.ground import LABEL_NAMES
@@ -30,7 +30,7 @@ def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
     which is all that Eq. 1 asks of other tiles.
     """
     values = {
-        "counts": counts if cuts is not None else [min(counts), max(counts)],
+        "counts": counts if cuts is not None else _extremes(job, counts),
         "cuts": None if cuts is None else [(cut.density, int(cut.last_row)) for cut in cuts],
     }
     job.work.write_json(job.root / CUTS_FILE, values)
@@ -85,6 +85,12 @@ def _cuts_of(job: Job, tile: int) -> tuple[list[int], list[Cut]]:
 
 def tile_percentages(job: Job, counts: list[int], extremes: list[int]) -> Sequence[Fraction]:
     """Return R_i of some clusters (Eq. 1), given the smallest and the largest N_i of the map."""
-    removal = job.configuration.removal
-    together = removal_percentages([*counts, *extremes], removal.min_percent, removal.max_percent)
-    return together[: len(counts)]
+    removal, k = job.configuration.removal, job.configuration.neighbours.k
+    every = [*counts, *extremes]
+    return removal_percentages(every, removal.min_percent, removal.max_percent, k)[: len(counts)]
+
+
+def _extremes(job: Job, counts: list[int]) -> list[int]:
+    """Return N_min and N_max of Eq. 1."""
+    populated = [count for count in counts if count > 0] or [0]
+    return [smallest_counted(populated, job.configuration.neighbours.k), max(populated)]

@@ -11,13 +11,14 @@ from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.resources import check_one_tile, is_one_tile
+from pipeline.taking_part import survey_map
 from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
 from pipeline.tiles.opening import open_job
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
+from pipeline.units import open_collection
 from pipeline.workers import workers_for
-from tiling.formats.collection import MapCollection, content_hash, find_map_files
-from tiling.survey import survey
+from tiling.formats.collection import content_hash, find_map_files
 
 _PRODUCTS = ("chunks", "store.json")
 """What `tile` leaves; a folder that has the last of them is whole."""
@@ -34,9 +35,9 @@ def plan_map(
         `PlanError` where the run would be refused.
     """
     workers = available_cores(configuration.execution.workers)
-    collection = MapCollection(find_map_files(maps), threads=workers)
+    collection = open_collection(find_map_files(maps), configuration.input, workers)
     observer.stage("survey", collection.point_count)
-    surveyed = survey(collection)
+    surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
     observer.finish()
     one_tile = is_one_tile(collection, configuration)
     if one_tile:

@@ -9,6 +9,7 @@ from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import make_rows, open_rows
+from pipeline.tiles.taking_part import label_unscored
 
 LABELS: dict[str, tuple[DTypeLike, float]] = {"label": (np.uint8, Label.INVALID)}
 SCORES: dict[str, tuple[DTypeLike, float]] = {
@@ -36,6 +37,7 @@ class RowResults:
         for name, (kind, value) in kinds.items():
             make_rows(job.rows_path(name), job.collection.point_count, kind, value)
             self._files[name] = open_rows(job.rows_path(name), kind, "r+")
+        label_unscored(job, self._files["label"])
 
     def add(self, tile: int) -> None:
         """Take over what the label task of a tile kept."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import PartsError, PointCountError, RowRangeError
 from tiling.formats.grid import Grid
+from tiling.formats.units import Units
 
 if TYPE_CHECKING:
     from tiling.formats.extension import ExtendedFormat
@@ -65,6 +66,8 @@ class MapDescription:
         Every field, in the file's order.
     crs : str or None
         The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
+    units : Units or None
+        What the coordinates are measured in, where the file says it.
     has_classification : bool
         Whether the batches carry ASPRS classes.
     largest_class : int
@@ -81,6 +84,7 @@ class MapDescription:
     point_count: int
     fields: tuple[Field, ...]
     crs: str | None = None
+    units: Units | None = None
     has_classification: bool = False
     largest_class: int = 255
     grid: Grid | None = None
@@ -102,12 +106,15 @@ class PointBatch:
         given to a writer made by the same reader.
     classification : (n,) uint8 array or None
         ASPRS classes (LAS), where the format has them.
+    withheld : (n,) bool array or None
+        Points that are marked as deleted (LAS), where the format has such a mark.
     """
 
     first_row: int
     xyz: NDArray[np.float64]
     records: Any
     classification: NDArray[np.uint8] | None = None
+    withheld: NDArray[np.bool_] | None = None
 
     def select(self, chosen: NDArray[np.bool_]) -> Any:
         """Return the records of the points where `chosen` is true, in order."""
@@ -125,13 +132,13 @@ class PointBatch:
         if (start, stop) == (0, len(self.xyz)):
             return self
         part = slice(start, stop)
-        classes = None if self.classification is None else self.classification[part]
         return replace(
             self,
             first_row=self.first_row + start,
             xyz=self.xyz[part],
             records=self.records[part],
-            classification=classes,
+            classification=None if self.classification is None else self.classification[part],
+            withheld=None if self.withheld is None else self.withheld[part],
         )
 
 

@@ -8,6 +8,9 @@ from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tiling.errors import NoMapError
 from tiling.formats import MAP_SUFFIXES, open_map
 from tiling.formats.base import DEFAULT_BATCH, MapReader, PointBatch, checked_rows
@@ -98,6 +101,9 @@ class MapCollection:
         For each file, the row number in the whole map of its first point.
     point_count : int
         Points in all files.
+    metres : (3,) float64 array or None
+        What coordinates are multiplied by on their way out, so that they are metres; None where
+        they are as they are in the files. Records never change.
 
     Raises
     ------
@@ -114,6 +120,7 @@ class MapCollection:
         counts = [reader.description.point_count for reader in self.readers]
         *first_rows, self.point_count = accumulate(counts, initial=0)
         self.first_rows: tuple[int, ...] = tuple(first_rows)
+        self.metres: NDArray[np.float64] | None = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -169,7 +176,14 @@ class MapCollection:
             if start < stop:
                 for batch in reader.batches(max_points, range(start, stop)):
                     # A copy: the reader goes on from the row numbers of its own.
-                    yield file, replace(batch, first_row=batch.first_row + first_row)
+                    of_map = replace(batch, first_row=batch.first_row + first_row)
+                    yield file, self.in_metres(of_map)
+
+    def in_metres(self, batch: PointBatch) -> PointBatch:
+        """Return points as a reader gave them with coordinates as `batches` has them."""
+        if self.metres is None:
+            return batch
+        return replace(batch, xyz=batch.xyz * self.metres)
 
     def row_ranges(self, max_points: int) -> list[range]:
         """Cut the map into row ranges that several workers can read side by side.

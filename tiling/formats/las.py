@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
 from tiling.formats.grid import Grid, integers_in_records
-from tiling.formats.las_crs import crs_name
+from tiling.formats.las_crs import crs_name, crs_units
 from tiling.formats.las_extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
 from tiling.formats.las_extra_bytes import extra_fields
 from tiling.formats.las_fields import standard_fields
@@ -101,7 +101,7 @@ class LasReader(MapReader):
         """Make a batch of raw records; see `MapReader.batch_of`."""
         header = self._header
         xyz, classes = coordinates(records, header), _classes(records, header)
-        return PointBatch(first_row, xyz, records, classes)
+        return PointBatch(first_row, xyz, records, classes, _withheld(records, header))
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
@@ -172,6 +172,11 @@ def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]
     return records[:, 16].copy()
 
 
+def _withheld(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.bool_]:
+    """Return which points are withheld: one of the flags beside the class."""
+    return (records[:, 15] & np.uint8(128 if header.point_format < 6 else 4)) != 0
+
+
 def _describe(header: LasHeader) -> MapDescription:
     kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.minor_version}"
     kind = f"{kind}, point format {header.point_format}"
@@ -184,6 +189,7 @@ def _describe(header: LasHeader) -> MapDescription:
         point_count=header.point_count,
         fields=(*standard_fields(header.point_format), *extra_fields(header)),
         crs=crs_name(header.vlrs + header.evlrs),
+        units=crs_units(header.vlrs + header.evlrs),
         has_classification=True,
         largest_class=LAST_SHORT_CLASS if header.point_format < 6 else 255,
         grid=Grid(header.scales, header.offsets),

@@ -1,17 +1,22 @@
-"""The coordinate reference system of a LAS file in a few characters, from its records alone.
+"""The coordinate reference system of a LAS file, its name and its units, from its records alone.
 
 LAS names it in OGC well-known text or in GeoTIFF keys. Both are looked into only as far as a
-name needs: keys and text that make no sense give no name, and never stop a map from being read.
+name and units need: keys and text that make no sense give none, and never stop a map from being
+read.
 """
 
 import re
 import struct
 from collections.abc import Sequence
 
+from tiling.formats.geo_keys import units_in_geo_keys
 from tiling.formats.las_header import CRS_USER_ID, VariableLengthRecord
+from tiling.formats.units import Units
+from tiling.formats.wkt import units_in_wkt
 
 _WKT = 2112
 _GEO_KEY_DIRECTORY = 34735
+_GEO_DOUBLE_PARAMS = 34736
 _GEO_ASCII_PARAMS = 34737
 
 _PROJECTED_TYPE, _GEOGRAPHIC_TYPE = 3072, 2048
@@ -37,13 +42,31 @@ def crs_name(records: Sequence[VariableLengthRecord]) -> str | None:
         `"EPSG:26915"` where an authority's code is given, else the system's own name; None where
         there is neither. Well-known text is preferred to GeoTIFF keys.
     """
-    found = {r.record_id: r.data for r in records if r.user_id == CRS_USER_ID and r.data}
+    found = _crs_records(records)
     name = None
     if _WKT in found:
-        name = _name_in_wkt(found[_WKT].split(b"\0")[0].decode("utf-8", "replace"))
+        name = _name_in_wkt(_text(found[_WKT]))
     if name is None and _GEO_KEY_DIRECTORY in found:
         name = _name_in_geo_keys(found[_GEO_KEY_DIRECTORY], found.get(_GEO_ASCII_PARAMS, b""))
     return name
+
+
+def crs_units(records: Sequence[VariableLengthRecord]) -> Units | None:
+    """Tell what the coordinates of a LAS file are measured in, None where nothing says it."""
+    found = _crs_records(records)
+    units = units_in_wkt(_text(found[_WKT])) if _WKT in found else None
+    if (units is None or units.horizontal is None) and _GEO_KEY_DIRECTORY in found:
+        doubles = found.get(_GEO_DOUBLE_PARAMS, b"")
+        units = units_in_geo_keys(found[_GEO_KEY_DIRECTORY], doubles) or units
+    return units
+
+
+def _crs_records(records: Sequence[VariableLengthRecord]) -> dict[int, bytes]:
+    return {r.record_id: r.data for r in records if r.user_id == CRS_USER_ID and r.data}
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0", maxsplit=1)[0].decode("utf-8", "replace")
 
 
 def _name_in_wkt(text: str) -> str | None:

@@ -1,0 +1,247 @@
+"""What is given to the method, checked: each fault ends in one line that says what to pass."""
+
+from collections.abc import Iterable, Iterator
+from numbers import Number
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynahull.errors import InvalidParametersError, InvalidPointsError
+from dynahull.progress import Observer
+
+LARGEST_COORDINATE = 1e150
+"""Metres from the origin; see `valid_points`."""
+
+_ARRAY_PROTOCOLS = ("__array__", "__array_interface__", "__array_struct__", "__buffer__")
+
+_REMEDIES = {
+    "xyz": "its .xyz",
+    "numpy": "its .numpy()",
+    "points": "numpy.asarray of its .points",
+    "toarray": "its .toarray()",
+}
+"""What to pass of objects that have an attribute: of laspy, PyTorch, Open3D, SciPy's sparse."""
+
+_TOLD = ("stage", "advance", "warn")
+
+_LONGEST = 200
+"""Characters of what another library says is wrong."""
+
+
+def checked_points(points: ArrayLike) -> NDArray[np.float64]:
+    """Return points as a C-ordered (N, 3) float64 array.
+
+    What is masked becomes NaN, and so an invalid point.
+
+    Raises
+    ------
+    InvalidPointsError
+        When they are anything else.
+    """
+    array = as_array(points, "points", "an (N, 3) array")
+    if array.dtype.names is not None:
+        raise InvalidPointsError(
+            "points: expected an (N, 3) array, found one with the fields "
+            f"{', '.join(array.dtype.names)[:_LONGEST]}: pass "
+            'numpy.column_stack([points["x"], points["y"], points["z"]])'
+        )
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InvalidPointsError(
+            f"points: expected an (N, 3) array, found shape {array.shape}"
+            f"{remedy(array.shape, 'points')}"
+        )
+    if array.dtype.kind not in "fiu":
+        hint = ": pass points.astype(float)" if array.dtype.kind == "O" else ""
+        raise InvalidPointsError(f"points: expected real numbers, found dtype {array.dtype}{hint}")
+    if isinstance(array, np.ma.MaskedArray):
+        array = np.ma.filled(array.astype(np.float64), np.nan)
+    return np.ascontiguousarray(array, np.float64)
+
+
+def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:
+    """Return ASPRS classes as an (N,) uint8 array.
+
+    Raises
+    ------
+    InvalidPointsError
+        When they are anything else.
+    """
+    classes = np.asarray(as_array(classification, "classification", "one class for each point"))
+    if classes.shape != (count,):
+        raise InvalidPointsError(
+            f"classification: expected one class for each of {count} points, "
+            f"found shape {classes.shape}"
+        )
+    if count and (classes.dtype.kind not in "iu" or classes.min() < 0 or classes.max() > 255):
+        raise InvalidPointsError(
+            f"classification: expected whole numbers from 0 to 255, found dtype {classes.dtype}"
+        )
+    return classes.astype(np.uint8)
+
+
+def checked_mask(left_out: ArrayLike, count: int) -> NDArray[np.bool_]:
+    """Return which points are left out as an (N,) bool array.
+
+    Raises
+    ------
+    InvalidPointsError
+        When it is anything else.
+    """
+    mask = np.asarray(as_array(left_out, "left_out", "true or false for each point"))
+    if mask.shape != (count,) or (count and mask.dtype != np.bool_):
+        raise InvalidPointsError(
+            f"left_out: expected true or false for each of {count} points, found shape "
+            f"{mask.shape} and dtype {mask.dtype}"
+        )
+    return mask.astype(np.bool_)
+
+
+def checked_threads(threads: int) -> int:
+    """Return a number of threads.
+
+    Raises
+    ------
+    InvalidParametersError
+        When it is no whole number above zero.
+    """
+    whole = isinstance(threads, int | np.integer) and not isinstance(threads, bool)
+    if not whole or threads < 1:
+        raise InvalidParametersError(
+            f"threads: expected a whole number above zero, found {short(threads)}"
+        )
+    return int(threads)
+
+
+def checked_observer(observer: Observer) -> Observer:
+    """Return what is told of the progress.
+
+    Raises
+    ------
+    InvalidParametersError
+        When it cannot be told.
+    """
+    missing = [name for name in _TOLD if not callable(getattr(observer, name, None))]
+    if missing:
+        raise InvalidParametersError(
+            f"observer: expected methods {', '.join(_TOLD)}, found an object of type "
+            f"{type(observer).__name__} without {', '.join(missing)}"
+        )
+    return observer
+
+
+def as_array(given: Any, name: str, expected: str) -> NDArray[Any]:
+    """Return what is an array, or is soon turned into one, as a NumPy array.
+
+    Raises
+    ------
+    InvalidPointsError
+        For all else, at once. NumPy would ask any other object for its items one after the other,
+        which takes minutes where each is made anew.
+    """
+    reason = _not_an_array(given)
+    if reason is None:
+        try:
+            return np.asanyarray(given)
+        except Exception as error:  # of any library: NumPy hands on what an object raises
+            said = " ".join(str(error).split()) or type(error).__name__
+            reason = said[:_LONGEST]
+    raise InvalidPointsError(f"{name}: expected {expected}, found {reason}")
+
+
+def _not_an_array(given: Any) -> str | None:
+    """Say what is given instead of an array, and what to pass; None where it is one."""
+    if isinstance(given, str | bytes) or hasattr(given, "__fspath__"):
+        return f"{short(given)}: files are read by tiling.formats.open_map, or by the command line"
+    if isinstance(given, list | tuple):
+        return _not_numbers(set(map(type, given)))
+    if isinstance(given, np.ndarray) or _offers_array(type(given)) or _offers_buffer(given):
+        return _misnamed(_column_names(given))
+    return _other(given)
+
+
+def _other(given: Any) -> str:
+    """Say what is given that NumPy would have to ask for its items, and what to pass."""
+    kind = "None" if given is None else f"an object of type {type(given).__name__}"
+    for attribute, instead in _REMEDIES.items():
+        # Of its type: to ask the object itself might make the coordinates of all points.
+        if hasattr(type(given), attribute):
+            return f"{kind}: pass {instead}"
+    if isinstance(given, Iterator):
+        return f"{kind}: pass a list of it"
+    return kind
+
+
+def _not_numbers(kinds: set[type]) -> str | None:
+    """Say which kinds of items are neither numbers nor rows of them."""
+    known = (list, tuple, Number, np.generic, np.ndarray, str, bytes)
+    for kind in sorted(kinds, key=lambda each: each.__name__):
+        if not issubclass(kind, known) and not _offers_array(kind):
+            return f"items that are {kind.__name__}"
+    return None
+
+
+def _offers_array(kind: type) -> bool:
+    """Tell whether objects of a kind give NumPy their numbers at once."""
+    return any(hasattr(kind, name) for name in _ARRAY_PROTOCOLS)
+
+
+def _offers_buffer(given: Any) -> bool:
+    try:
+        memoryview(given).release()
+    except TypeError:
+        return False
+    return True
+
+
+def _column_names(table: Any) -> list[str]:
+    """Return the names of the columns of a table (pandas, polars, Arrow); none of all else."""
+    if isinstance(table, np.ndarray):
+        return []
+    # The columns of an Arrow table are not their names.
+    names = getattr(table, "column_names", None) or getattr(table, "columns", ())
+    return [str(name) for name in names] if isinstance(names, Iterable) else []
+
+
+def _misnamed(columns: list[str]) -> str | None:
+    """Say what to pass of a table that has x, y and z, and not just these in this order."""
+    named = {name.lower(): name for name in columns}
+    if not {"x", "y", "z"} <= set(named) or [name.lower() for name in columns] == ["x", "y", "z"]:
+        return None
+    wanted = ", ".join(f'"{named[axis]}"' for axis in "xyz")
+    return f"a table of the columns {', '.join(columns)[:_LONGEST]}: pass table[[{wanted}]]"
+
+
+def remedy(shape: tuple[int, ...], name: str) -> str:
+    """Say what to pass instead of an array of a shape, where that is plain."""
+    if len(shape) == 2 and shape[0] == 3:
+        return f": pass {name}.T if the rows are x, y, z"
+    if len(shape) == 2 and shape[1] > 3:
+        return f": pass {name}[:, :3] if the first three columns are x, y, z"
+    if len(shape) == 3 and shape[2] >= 3:
+        return f": pass {name}.reshape(-1, {shape[2]}){'[:, :3]' if shape[2] > 3 else ''}"
+    return ""
+
+
+def short(given: Any) -> str:
+    """Return what is given as Python writes it, if that is not long."""
+    return repr(given)[:_LONGEST]
+
+
+def valid_points(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which points have coordinates that can be measured: not NaN, not infinite, not absurd.
+
+    Parameters
+    ----------
+    points : (N, 3) float64 array
+
+    Returns
+    -------
+    (N,) bool array
+        False also where a coordinate is beyond `LARGEST_COORDINATE`: squared distances to such a
+        point overflow.
+    """
+    if len(points) and -LARGEST_COORDINATE <= points.min() <= points.max() <= LARGEST_COORDINATE:
+        return np.ones(len(points), np.bool_)
+    x, y, z = (np.abs(points[:, axis]) <= LARGEST_COORDINATE for axis in range(3))
+    return np.asarray(x & y & z)

@@ -1,0 +1,180 @@
+"""Whatever is given as points works, or ends at once in one line that says what to pass."""
+
+import time
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+import dynahull
+from dynahull import DynaHull, InvalidParametersError, InvalidPointsError, MethodParameters, clean
+from dynahull.ready import READY
+from pipeline.configuration import load_configuration, ready_configurations
+
+POINTS = np.random.default_rng(0).normal(size=(300, 3))
+FAST = {"ground": {"method": "none"}}
+
+
+class Slow:
+    """Gives its items one by one, as laspy's data does, and never ends."""
+
+    xyz = POINTS
+
+    def __len__(self):
+        return 10**9
+
+    def __getitem__(self, item):
+        return Slow()
+
+
+class Tensor:
+    """Hands its numbers out only when it may."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("Can't call numpy() on a tensor\nthat requires grad")
+
+
+def table(columns):
+    return import_module("pandas").DataFrame(POINTS[:, : len(columns)], columns=columns)
+
+
+def structured():
+    return np.zeros(5, dtype=[("x", "f8"), ("y", "f8"), ("z", "f8")])
+
+
+REFUSED = {
+    "laspy's data": (Slow, r"pass its \.xyz"),
+    "a list of laspy's data": (lambda: [Slow()], "items that are Slow"),
+    "a generator": (lambda: (row for row in POINTS), "pass a list of it"),
+    "None": (lambda: None, "found None"),
+    "a path": (lambda: "map.las", "files are read by"),
+    "a number": (lambda: 5, "of type int"),
+    "a dictionary": (lambda: {"x": [1]}, "of type dict"),
+    "a set": (lambda: {1.0, 2.0}, "of type set"),
+    "a tensor": (Tensor, "Can't call numpy"),
+    "four columns": (lambda: np.ones((9, 4)), r"points\[:, :3\]"),
+    "the wrong way round": (lambda: np.ones((3, 600)), r"points\.T"),
+    "organised": (lambda: np.ones((8, 9, 3)), r"points\.reshape\(-1, 3\)"),
+    "structured": (structured, "numpy.column_stack"),
+    "objects": (lambda: POINTS.astype(object), r"astype\(float\)"),
+    "complex": (lambda: POINTS.astype(complex), "found dtype complex128"),
+    "true or false": (lambda: POINTS > 0, "found dtype bool"),
+    "text": (lambda: [["a", "b", "c"]], "found dtype"),
+    "ragged": (lambda: [[1.0], [1.0, 2.0]], "inhomogeneous"),
+    "flat": (lambda: [1.0, 2.0, 3.0], r"found shape \(3,\)"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_is_no_cloud_is_refused_at_once(kind):
+    make, remedy = REFUSED[kind]
+    begun = time.perf_counter()
+    with pytest.raises(InvalidPointsError, match=remedy) as refused:
+        clean(make())
+    assert time.perf_counter() - begun < 5
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize("kind", ["laspy's data", "a generator", "None", "four columns", "tensor"])
+def test_the_estimator_refuses_at_once_too(kind):
+    make, _ = REFUSED.get(kind, (Tensor, ""))
+    with pytest.raises(InvalidPointsError, match="X: "):
+        DynaHull().fit(make())
+
+
+@pytest.mark.parametrize(
+    "columns", [["x", "y", "z", "i"], ["z", "y", "x"], ["i", "x", "y", "z"]], ids="".join
+)
+def test_a_table_of_other_columns_is_refused(columns):
+    pytest.importorskip("pandas", reason="pandas is not installed")
+    points = np.column_stack([POINTS, POINTS[:, 0]])
+    frame = import_module("pandas").DataFrame(points[:, : len(columns)], columns=columns)
+    with pytest.raises(InvalidPointsError, match=r'pass table\[\["x", "y", "z"\]\]'):
+        clean(frame)
+
+
+TAKEN = {
+    "lists": POINTS.tolist,
+    "tuples": lambda: [tuple(row) for row in POINTS.tolist()],
+    "a memory view": lambda: memoryview(POINTS),
+    "another byte order": lambda: POINTS.astype(">f8"),
+    "columns first in memory": lambda: np.asfortranarray(POINTS),
+    "long doubles": lambda: POINTS.astype(np.longdouble),
+}
+
+
+@pytest.mark.parametrize("kind", TAKEN)
+def test_what_is_a_cloud_is_taken(kind):
+    expected = clean(POINTS, FAST)
+    np.testing.assert_array_equal(clean(TAKEN[kind](), FAST).labels, expected.labels)
+
+
+def test_a_table_of_x_y_and_z_is_taken():
+    pytest.importorskip("pandas", reason="pandas is not installed")
+    np.testing.assert_array_equal(
+        clean(table(["x", "y", "z"]), FAST).labels, clean(POINTS, FAST).labels
+    )
+
+
+def test_what_is_masked_is_invalid():
+    masked = np.ma.masked_array(POINTS, mask=np.zeros(POINTS.shape, bool))
+    masked[7, 1] = np.ma.masked
+    assert np.flatnonzero(clean(masked, FAST).labels == dynahull.Label.INVALID).tolist() == [7]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "more", "message"),
+    [
+        ("nothing", {}, "indoor.*found 'nothing'"),
+        (5, {}, "of type int"),
+        ([("neighbours", 5)], {}, "of type list"),
+        ({"neighbours": 5}, {}, "neighbours"),
+        (None, {"threads": 0}, "threads"),
+        (None, {"threads": "2"}, "threads"),
+        (None, {"observer": 5}, "observer"),
+        (None, {"removal": None}, "removal"),
+        (None, {"max_height": "high"}, "max_height"),
+    ],
+)
+def test_wrong_parameters_are_one_line(parameters, more, message):
+    with pytest.raises(InvalidParametersError, match=message) as refused:
+        clean(POINTS, parameters, **more)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("mask", [[1, 0], np.zeros(300), "no", [[True]] * 300])
+def test_a_mask_that_is_none_is_refused(mask):
+    with pytest.raises(InvalidPointsError, match="left_out: expected"):
+        clean(POINTS, left_out=mask)
+
+
+def test_random_states_that_are_none_are_refused():
+    with pytest.raises(InvalidParametersError, match="random_state"):
+        DynaHull(random_state="yesterday").fit(POINTS)
+
+
+@pytest.mark.parametrize("name", READY)
+def test_ready_parameters_are_those_of_the_ready_configurations(name):
+    assert MethodParameters.chosen(name, {}) == load_configuration(name).method()
+    mixed = MethodParameters.chosen(name, {"neighbours": {"k": 9}})
+    assert mixed.neighbours.k == 9
+    assert mixed.ground == load_configuration(name).ground
+
+
+def test_every_ready_configuration_of_the_method_has_its_name():
+    names = {
+        name
+        for name in ready_configurations()
+        if load_configuration(name).execution.cluster == "local"
+    }
+    assert names == set(READY)
+
+
+def test_a_configuration_of_the_product_is_taken_with_sections_in_place_of_its_own():
+    given = load_configuration("indoor")
+    assert MethodParameters.chosen(given, {"neighbours": {"k": 9}}).max_height == 2.5
+
+
+def test_the_package_shows_what_it_has():
+    assert {"clean", "DynaHull", "Label", "InvalidPointsError"} <= set(dir(dynahull))
