@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,15 +16,33 @@ from dynahull.checking import (
     valid_points,
 )
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
-from dynahull.density import SMALLEST_CLUSTER, cluster_densities
+from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, cluster_densities
+from dynahull.evidence.model import ghost_scores
+from dynahull.evidence.summaries import ScoredPoints
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
-from dynahull.removal import Removal, remove_least_dense
+from dynahull.removal import Removal, remove_least_dense, remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
 from dynahull.strays import Outskirts, is_at_origin, warn_of_strays
+
+
+class SetAside(NamedTuple):
+    """What is not scored, and why.
+
+    Attributes
+    ----------
+    ground, above : (N,) bool arrays
+        Disjoint; `above` is higher than `max_height`.
+    height : (N,) float64 array
+        Above the local ground, metres; NaN where none is near, or nobody asked.
+    """
+
+    ground: NDArray[np.bool_]
+    above: NDArray[np.bool_]
+    height: NDArray[np.float64]
 
 
 def clean(
@@ -87,10 +105,8 @@ def clean(
 
     labels = _first_labels(coordinates, noise, parameters.neighbours.k, observer)
     seen = labels == Label.STATIC
-    ground, above = set_ground_aside(
-        coordinates, seen, parameters, classes, observer, threads=threads
-    )
-    rows = np.flatnonzero(seen & ~ground & ~above)
+    aside = set_ground_aside(coordinates, seen, parameters, classes, observer, threads=threads)
+    rows = np.flatnonzero(seen & ~aside.ground & ~aside.above)
     clusters = find_clusters(
         coordinates.take(rows, axis=0), rows, int(np.count_nonzero(seen)), parameters, observer
     )
@@ -98,20 +114,39 @@ def clean(
     warn_of_clusters(
         [len(members) for members in membership], parameters.clustering.count, observer
     )
-    densities = _densities(coordinates, membership, parameters, threads, observer)
+    densities, spreads = _densities(coordinates, membership, parameters, threads, observer)
     percentages = removal_percentages(
         [len(members) for members in membership],
         parameters.removal.min_percent,
         parameters.removal.max_percent,
         parameters.neighbours.k,
     )
-    removals = [
-        remove_least_dense(density, members, percentage, parameters.removal.threshold)
-        for density, members, percentage in zip(densities, membership, percentages, strict=True)
-    ]
+    density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
+    score = np.full(len(coordinates), np.nan, np.float32)
+    if parameters.removal.weighs_evidence:
+        observer.stage("evidence", len(rows))
+        spread = _scattered(
+            np.full((len(coordinates), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
+        )
+        points = ScoredPoints(
+            coordinates.take(rows, axis=0), density[rows], spread[rows], aside.height[rows]
+        )
+        score[rows] = ghost_scores(
+            points, coordinates[aside.ground | aside.above], parameters.neighbours.k, threads
+        )
+        observer.advance(len(rows))
+        removals = [
+            remove_likely(score[members], parameters.removal.confidence) for members in membership
+        ]
+    else:
+        removals = [
+            remove_least_dense(density[members], members, percentage, parameters.removal.threshold)
+            for members, percentage in zip(membership, percentages, strict=True)
+        ]
     return CleaningResult(
-        labels=_merged_labels(labels, ground, above, membership, removals),
-        density=_scattered(np.full(len(coordinates), np.nan), membership, densities),
+        labels=_merged_labels(labels, aside, membership, removals),
+        density=density,
+        score=score,
         cluster=_scattered(
             np.full(len(coordinates), NO_CLUSTER, np.int32), membership, range(len(membership))
         ),
@@ -127,26 +162,22 @@ def set_ground_aside(
     observer: Observer,
     *,
     threads: int = 1,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Find the ground, and the points too high above it.
-
-    Returns
-    -------
-    ground, above : (N,) bool arrays
-        Disjoint, and false for points that are not `seen`.
-    """
+) -> SetAside:
+    """Find the ground, and the points too high above it, among those that are `seen`."""
     observer.stage("ground", len(points))
     ground, above = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    height = np.full(len(points), np.nan)
     whole = bool(seen.all())
     chosen = points if whole else points[seen]
     classes = classification if whole or classification is None else classification[seen]
     found = ground_mask(chosen, parameters.ground, classes, threads=threads)
     ground[seen] = found
+    if parameters.needs_heights:
+        height[seen] = height_above_ground(chosen, found, parameters.ground, threads=threads)
     if parameters.max_height is not None:
-        height = height_above_ground(chosen, found, parameters.ground, threads=threads)
-        above[seen] = ~found & (height > parameters.max_height)
+        above = seen & ~ground & (height > parameters.max_height)
     observer.advance(len(points))
-    return ground, above
+    return SetAside(ground, above, height)
 
 
 def _first_labels(
@@ -226,24 +257,25 @@ def _densities(
     parameters: MethodParameters,
     threads: int,
     observer: Observer,
-) -> list[NDArray[np.float64]]:
+) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float32]]]:
+    """Return the densities of each cluster, and how its neighbourhoods are spread."""
     observer.stage("density", sum(len(members) for members in membership))
-    return [
+    found = [
         cluster_densities(points.take(members, axis=0), members, parameters, threads, observer)
         for members in membership
     ]
+    return [density for density, _ in found], [spread for _, spread in found]
 
 
 def _merged_labels(
     labels: NDArray[np.uint8],
-    ground: NDArray[np.bool_],
-    above: NDArray[np.bool_],
+    aside: SetAside,
     membership: Sequence[NDArray[np.int64]],
     removals: Sequence[Removal],
 ) -> NDArray[np.uint8]:
     """Put static, dynamic and set-aside points together again (the last step of Algorithm 1)."""
-    labels[ground] = Label.GROUND
-    labels[above] = Label.ABOVE
+    labels[aside.ground] = Label.GROUND
+    labels[aside.above] = Label.ABOVE
     for members, removal in zip(membership, removals, strict=True):
         if len(members) < SMALLEST_CLUSTER:
             labels[members] = Label.UNSCORED

@@ -118,6 +118,11 @@ class MethodParameters(_Section):
     density: DensityParameters = DensityParameters()
     removal: RemovalParameters = RemovalParameters()
 
+    @property
+    def needs_heights(self) -> bool:
+        """Whether the height of points above the local ground decides anything."""
+        return self.max_height is not None or self.removal.weighs_evidence
+
     @classmethod
     def chosen(
         cls, given: "MethodParameters | Mapping[str, Any] | str | None", sections: Mapping[str, Any]

@@ -3,6 +3,8 @@
 `rank` takes exactly the share that Eq. 1 gives. `stepped` is the paper's wording of Algorithm 1:
 from zero, the threshold rises by a step set by the spread of the densities until the share is
 reached, so it may take more than the share; less only where all densities are equal.
+
+The other way to decide, by evidence, takes the points that are likely to have moved.
 """
 
 from dataclasses import dataclass
@@ -29,7 +31,7 @@ class Removal:
         The points removed.
     threshold : float or None
         `rank`: the density of the densest point removed, None where none is. `stepped`: the
-        threshold reached; the points below it are removed.
+        threshold reached; the points below it are removed. None where the evidence decides.
     """
 
     dynamic: NDArray[np.bool_]
@@ -65,6 +67,19 @@ def remove_least_dense(
     if threshold == "rank":
         return _by_rank(density, rows, percentage)
     return _by_steps(density, percentage)
+
+
+def remove_likely(score: NDArray[np.float32], confidence: float) -> Removal:
+    """Find the points of one cluster whose evidence says that they moved.
+
+    Parameters
+    ----------
+    score : (n,) float32 array
+        Probability of having moved; NaN is kept.
+    confidence : float
+        The least probability that goes.
+    """
+    return Removal(np.asarray(score >= confidence), None)
 
 
 def _by_rank(

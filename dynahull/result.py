@@ -51,6 +51,8 @@ class CleaningResult:
         Points per cubic metre; infinite where the hull has no volume, NaN where not scored.
     cluster : (N,) int32 array
         Index of the cluster, -1 where not clustered.
+    score : (N,) float32 array
+        Probability of having moved, by the evidence; NaN where not scored, or not weighed.
     clusters : tuple of ClusterSummary
         One for each cluster, in the order of their indices.
     """
@@ -58,6 +60,7 @@ class CleaningResult:
     labels: NDArray[np.uint8]
     density: NDArray[np.float64]
     cluster: NDArray[np.int32]
+    score: NDArray[np.float32]
     clusters: tuple[ClusterSummary, ...]
 
     @property

@@ -18,6 +18,7 @@ from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Floats, Voxels
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.prior import odds_counts, prior_shift
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_odds, summarise_points
 from dynahull.evidence.surroundings import Surroundings, Terms
 from dynahull.evidence.terms import TERMS, evidence
@@ -78,10 +79,13 @@ class EvidenceModel:
     ----------
     first, second : Forest
         Over `TERMS` and over `SECOND_TERMS`.
+    share : float
+        Of points that moved, that the odds are made for.
     """
 
     first: Forest
     second: Forest
+    share: float
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Self:
@@ -97,7 +101,7 @@ class EvidenceModel:
             raise InvalidParametersError(
                 "evidence model: expected the terms of this version, found others"
             )
-        return cls(first, second)
+        return cls(first, second, float(stored["share"]))
 
     def first_round(
         self, points: ScoredPoints, k: int, surroundings: Surroundings, threads: int = 1
@@ -150,10 +154,10 @@ class EvidenceModel:
         return np.concatenate(over_ranges(judge, _bounds(len(xyz)), threads))
 
 
-def log_odds_of(
+def ghost_scores(
     points: ScoredPoints, unscored: Floats, k: int, threads: int = 1
 ) -> npt.NDArray[np.float32]:
-    """Return the logarithm of the odds that each point of a map moved, (n,).
+    """Return the probability that each point of a map moved, (n,); NaN where it has no density.
 
     Parameters
     ----------
@@ -170,15 +174,18 @@ def log_odds_of(
     voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored)])
     found = model.first_round(points, k, Surroundings.of(voxels), threads)
     odds = summarise_odds(points.xyz, found.log_odds)
-    return model.second_round(points.xyz, found, odds, threads)
+    log_odds = model.second_round(points.xyz, found, odds, threads)
+    score = probabilities(log_odds, prior_shift(odds_counts(log_odds), model.share))
+    score[np.isnan(points.density)] = np.nan
+    return score
 
 
 @compiled
-def probability_of(log_odds: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Return the probability that each point moved, (n,)."""
+def probabilities(log_odds: npt.NDArray[np.float32], shift: float) -> npt.NDArray[np.float32]:
+    """Return the probability that each point moved, (n,), from its log odds and the map's shift."""
     found = np.empty(len(log_odds), np.float32)
     for i in range(len(log_odds)):
-        found[i] = 1.0 / (1.0 + np.exp(-np.float64(log_odds[i])))
+        found[i] = 1.0 / (1.0 + np.exp(-(np.float64(log_odds[i]) + shift)))
     return found
 
 
