@@ -1,6 +1,5 @@
 """A run that was killed, or that failed, goes on: nothing is done twice, and never mixed up."""
 
-import json
 import os
 import random
 import signal
@@ -18,6 +17,7 @@ from pipeline.errors import InputChangedError, TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import opening, stages
+from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.tiles.status import status_text
 from tiling.errors import MapFormatError
 
@@ -219,8 +219,7 @@ def test_what_a_killed_task_left_half_written_is_never_taken(map_file, interrupt
 
 def test_a_marker_of_another_key_says_nothing(map_file, interrupted, expected, done_tasks):
     marker = interrupted / WORK / "density/000002.done"
-    stored = json.loads(marker.read_text(encoding="utf-8"))
-    marker.write_text(json.dumps(stored | {"key": "0" * 64}), encoding="utf-8")
+    write_sealed(marker, read_sealed(marker) | {"key": "0" * 64})
     cleaned(map_file, interrupted)
     assert {number for stage, number in done_tasks if stage == "density"} == {2, 4}
     assert results(interrupted) == expected
