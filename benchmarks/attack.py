@@ -11,8 +11,9 @@ Each round picks an attack, by chance, and makes a run suffer it:
 - `small files`: no file may grow beyond a size chosen by chance, whoever writes it (EFBIG).
 
 It may end well, or with exit code 1, one line of error, and no result in the folder but those of a
-run before, all of them. Then the same command must end well. The results must have the bytes of a run that nothing disturbed, and the
-input must not have changed. Prints what was done, and ends with 1 if any of this was not so.
+run before, all of them. Then the same command must end well. The results must have the bytes of a
+run that nothing disturbed, and the input must not have changed. Prints what was done, and ends with
+1 if any of this was not so.
 """
 
 import argparse
