@@ -292,10 +292,12 @@ def _expected_exit_code(error: Exception) -> int | None:
         MissingClassificationError,
     )
     from pipeline.errors import ConfigurationError, PipelineError  # noqa: PLC0415
-    from tiling.errors import TilingError  # noqa: PLC0415
+    from tiling.errors import ChunkError, TilingError  # noqa: PLC0415
 
     if isinstance(error, ConfigurationError | InvalidParametersError):
         return EXIT_USAGE
+    if isinstance(error, ChunkError):  # it is about work, and not about the map
+        return EXIT_FAILURE
     if isinstance(error, TilingError | MissingClassificationError):
         return EXIT_BAD_INPUT
     if isinstance(error, DynaHullError | PipelineError | OSError | MemoryError):

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -17,8 +18,10 @@ from pipeline.tiles.ground import find_ground
 from pipeline.tiles.job import Job
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.scoring import score_tile
+from pipeline.tiles.sealed import write_sealed
 from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import write_part
+from tiling.ledger import noting
 
 TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "survey": survey_rows,
@@ -56,11 +59,12 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     begun = time.perf_counter()
     if stage in READING:
         check_map(job.paths, job.state)
-    report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
+    with noting() as written:
+        report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
     if stage in READING:
         check_map(job.paths, job.state)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
-    job.work.finish(stage, number, report)
+    job.work.finish(stage, number, report, written)
     if stage in DIVISIBLE:
         give_memory_back()
     return report
@@ -199,6 +203,6 @@ class _State:
         now = self._written = time.time()
         elapsed = max(now - self._begun, 1e-3)
         rate = (self._values["done_points"] - self._earlier) / elapsed
-        self._job.work.write_json(
-            self._job.work.state_path, {**self._values, "updated": now, "rate": rate}
-        )
+        values = {**self._values, "updated": now, "rate": rate}
+        with suppress(OSError):  # the work itself does not depend on it
+            write_sealed(self._job.work.state_path, values)
