@@ -17,6 +17,10 @@ from pipeline.report_page.sample import MapSample
 from pipeline.resources import memory_left
 from pipeline.write_results import write_maps
 from tiling.formats.collection import MapCollection
+from tiling.resolution import coarse_step_notes, typical_place
+
+_LOOKED_AT = 10_000
+"""Points that tell where the map lies."""
 
 
 def clean_in_memory(
@@ -31,6 +35,9 @@ def clean_in_memory(
     Thread(target=load_libraries, daemon=True).start()
     most_kept = min(MOST_KEPT, memory_left(collection, configuration) // 2)
     decoded = read_map(collection, most_kept, observer)
+    sample = decoded.points[:: max(len(decoded.points) // _LOOKED_AT, 1)]
+    for note in coarse_step_notes(collection.readers, typical_place(sample)):
+        observer.warn(note)
     result = clean(
         decoded.points,
         configuration.method(),
@@ -40,8 +47,8 @@ def clean_in_memory(
     )
     views = None
     if configuration.output.report == "html":
-        sample = MapSample.of_map(decoded.points, result.labels, result.cluster, result.density)
-        views = partial(Views.of, sample, result.clusters, configuration.removal)
+        shown = MapSample.of_map(decoded.points, result.labels, result.cluster, result.density)
+        views = partial(Views.of, shown, result.clusters, configuration.removal)
     output = configuration.output
     write_maps(
         collection,

@@ -33,6 +33,7 @@ from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
 from tiling.errors import GridError
 from tiling.grid import grid_of
+from tiling.resolution import coarse_step_notes
 from tiling.survey import Survey, merge
 
 
@@ -74,6 +75,8 @@ def clean_tiles(
     """
     import_meanwhile(fit)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
+    for note in coarse_step_notes(job.collection.readers, job.store.layout.typical_place()):
+        observer.warn(note)
     cut_into_pieces(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))
