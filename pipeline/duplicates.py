@@ -81,4 +81,5 @@ class DuplicateCounter:
         points = points[order]
         again = (points[1:] == points[:-1]).all(axis=1)
         self._count += int(np.count_nonzero(again))
-        return points[np.concatenate([np.ones(min(len(points), 1), bool), ~again])]
+        first = np.concatenate([np.ones(min(len(points), 1), bool), ~again])
+        return np.asarray(points[first])

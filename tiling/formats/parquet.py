@@ -145,6 +145,7 @@ class ParquetReader(MapReader):
         names = coordinate_names(self._schema.names)
         if names is None:
             found = ", ".join(self._schema.names[:12]) or "none"
+            found = f"{point_count} rows of {len(self._schema)} columns: {found}"
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
         self._names = names
         for name in names:
