@@ -32,6 +32,7 @@ from pipeline.tiles.commands import (
     status_command,
     tile_command,
 )
+from tiling.foreign_text import LONGEST_LINE, printable
 
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
@@ -262,7 +263,8 @@ def main() -> NoReturn:
         if code is None:
             logger.exception("this is a defect of dynahull-pipeline; please report it")
             sys.exit(EXIT_FAILURE)
-        _fail(" ".join(str(error).split()) or type(error).__name__, code)
+        message = " ".join(str(error).split()) or type(error).__name__
+        _fail(printable(message, LONGEST_LINE), code)
     sys.exit(0)
 
 

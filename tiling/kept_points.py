@@ -98,7 +98,8 @@ class KeptPoints:
             When the file is not there, or not of its size.
         """
         with self._opened(lambda path: path.open("rb")) as stream:
-            for file, (first_row, dtype) in enumerate(self._files):
+            for file in self.collection.files_of(rows):
+                first_row, dtype = self._files[file]
                 start = max(rows.start, first_row)
                 stop = min(rows.stop, self._ends[file])
                 most = max(1, min(max_points, _LARGEST_BATCH // dtype.itemsize))

@@ -38,6 +38,7 @@ from tiling.chunk_store import ChunkCompression, ChunkStore
 from tiling.errors import GridError
 from tiling.grid import grid_of
 from tiling.ledger import noting
+from tiling.resolution import coarse_step_notes
 from tiling.survey import Survey, merge
 
 _SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
@@ -81,6 +82,9 @@ def clean_tiles(
     """
     import_meanwhile(fit)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
+    place = job.store.layout.typical_place()
+    for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
+        observer.warn(note)
     cut_into_pieces(job, executor, observer, "ground")
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))

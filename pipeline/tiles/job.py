@@ -132,13 +132,13 @@ class Job:
 
 
 @lru_cache(maxsize=2)
-def _opened(root: Path, changed: int) -> Job:
-    del changed
+def _opened(root: Path, time: int) -> Job:
+    del time
     stored = read_sealed(root / JOB_FILE)
     return Job(
         root,
         stored["key"],
         tuple(Path(path) for path in stored["paths"]),
-        tuple((size, time, inode) for size, time, inode in stored["state"]),
+        tuple((size, written, changed, inode) for size, written, changed, inode in stored["state"]),
         Configuration.model_validate(stored["configuration"]),
     )

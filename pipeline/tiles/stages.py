@@ -20,7 +20,7 @@ from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.scoring import score_tile
 from pipeline.tiles.sealed import write_sealed
 from pipeline.tiles.work import TaskReport
-from pipeline.tiles.writing import write_part
+from pipeline.tiles.writing import file_of_part, write_part
 from tiling.ledger import noting
 
 TASKS: Mapping[str, Callable[..., TaskReport]] = {
@@ -57,17 +57,31 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     """
     job = Job.open(folder)
     begun = time.perf_counter()
-    if stage in READING:
-        check_map(job.paths, job.state)
+    files = _files_read(job, stage, number)
+    _check_files(job, files)
     with noting() as written:
         report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
-    if stage in READING:
-        check_map(job.paths, job.state)
+    _check_files(job, files)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
     job.work.finish(stage, number, report, written)
     if stage in DIVISIBLE:
         give_memory_back()
     return report
+
+
+def _files_read(job: Job, stage: str, number: int) -> range:
+    """Return the files of the map, by index, that a task reads: with many, few of them."""
+    if stage == "write":
+        file = file_of_part(job, number)
+        return range(file, file + 1)
+    if stage in READING:
+        rows = job.row_ranges[number] if stage == "survey" else job.cut_ranges[number]
+        return job.collection.files_of(rows)
+    return range(0)
+
+
+def _check_files(job: Job, files: range) -> None:
+    check_map(job.paths[files.start : files.stop], job.state[files.start : files.stop])
 
 
 def do_stage(

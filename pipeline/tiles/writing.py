@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -181,7 +182,7 @@ def _earlier_plan(job: Job) -> OutputPlan | None:
 
 def write_part(job: Job, number: int) -> TaskReport:
     """Write one part of the outputs, and keep its summaries."""
-    plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
+    plan = _plan(job)
     part = plan.parts[number]
     mode = mode_of_file(job, part.file)
     with ExitStack() as stack:
@@ -197,6 +198,24 @@ def write_part(job: Job, number: int) -> TaskReport:
     with atomic_file(job.work.path("write", number, ".pickle")) as temporary:
         temporary.write_bytes(pickle.dumps([output.summary for output in outputs]))
     return TaskReport(len(part.rows))
+
+
+def file_of_part(job: Job, number: int) -> int:
+    """Return the file of the map that a part is read from."""
+    return _plan(job).parts[number].file
+
+
+def _plan(job: Job) -> OutputPlan:
+    path = _parts_path(job)
+    return _opened_plan(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=2)
+def _opened_plan(path: Path, changed: int) -> OutputPlan:
+    """Read the plan, once for all parts that a process writes."""
+    del changed
+    plan: OutputPlan = pickle.loads(path.read_bytes())
+    return plan
 
 
 def mode_of_file(job: Job, file: int) -> OutputMode:
