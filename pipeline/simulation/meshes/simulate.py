@@ -178,12 +178,12 @@ class Recording:
         origins = true[:, 3] + turn.share[:, None] / told.rate * self.drive.velocity[number]
         aimed = turn.directions @ true[:, :3].T
         hits, mixed = self._cast(number, turn, origins, aimed, random)
-        distance, other = hits.distance, mixed.distance
         met = self._returned(hits, random)
-        between = np.isfinite(distance) & np.isfinite(other) & (abs(distance - other) > _EDGE)
+        distance = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
+        apart = np.where(np.isfinite(mixed.distance), mixed.distance - distance, 0.0)
+        between = met & (np.abs(apart) > _EDGE)
         share = np.where(between, random.random(len(distance)), 0.0)
-        ranges = np.where(between, distance + share * np.where(between, other - distance, 0), distance)
-        ranges = ranges + random.normal(size=len(ranges)) * told.range_noise
+        ranges = distance + share * apart + random.normal(size=len(met)) * told.range_noise
         seen = origins + np.where(met, ranges, 0)[:, None] * aimed
         flat = np.hypot(*(seen - true[:, 3])[:, :2].T)
         met &= (ranges > told.min_range) & (ranges < told.max_range) & (flat > told.own_body)
