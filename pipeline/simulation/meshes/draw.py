@@ -38,16 +38,17 @@ def random_parameters(
     vehicle = outdoors and random.random() < 0.5
     few = random.random()
     crowd = 100 if kind is MeshSceneKind.LOBBY else 25
-    people = 0 if few < 0.1 else int(u(1, 6)) if few < 0.5 else int(u(4, crowd) ** 1.0)
+    people = 0 if few < 0.1 else int(u(1, 6)) if few < 0.5 else int(u(4, crowd))
     still = few < 0.08  # nothing moves at all
     keyed = random.random() < 0.5
     scans = int(np.exp(u(np.log(60), np.log(500))))
+    total = np.exp(u(np.log(4e5), np.log(3e6)))
     return MeshParameters(
         kind=kind,
         sensor=sensor,
         seed=seed,
         scans=scans,
-        rays=int(np.exp(u(np.log(3_000), np.log(24_000)))),
+        rays=int(np.clip(total / scans, 2_500, 28_000)),
         interval=float(random.choice([0.1, 0.2, 0.5, 1.0])) if not keyed else 0.1,
         key_distance=float(u(0.2, 1.0)) * (3.0 if vehicle else 1.0) if keyed else 0.0,
         rate=float(random.choice([5.0, 10.0, 10.0, 20.0])),
