@@ -11,12 +11,17 @@ class MeshSceneKind(StrEnum):
     OFFICE = "office"
     LOBBY = "lobby"
     WAREHOUSE = "warehouse"
+    GARAGE = "garage"
     STREET = "street"
+    CORRIDOR = "corridor"
+    STAIRS = "stairs"
+    PARK = "park"
+    ROOM = "room"
 
     @property
     def indoors(self) -> bool:
         """Whether there is a roof."""
-        return self not in (MeshSceneKind.STREET,)
+        return self not in (MeshSceneKind.STREET, MeshSceneKind.PARK)
 
 
 class SensorKind(StrEnum):
