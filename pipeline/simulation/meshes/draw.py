@@ -33,7 +33,8 @@ def random_parameters(
         str(random.choice(["vlp16", "vlp16", "ring32", "ring64", "os64", "mid360", "mid360"]))
     )
     kind, sensor = kind or drawn_kind, sensor or drawn_sensor
-    mode = DriveMode(str(random.choice(["through", "stop_and_go", "stand"], p=[0.5, 0.35, 0.15])))
+    shares = [0.1, 0.2, 0.7] if kind is MeshSceneKind.ROOM else [0.5, 0.35, 0.15]
+    mode = DriveMode(str(random.choice(["through", "stop_and_go", "stand"], p=shares)))
     outdoors = not kind.indoors
     vehicle = outdoors and random.random() < 0.5
     few = random.random()
@@ -65,6 +66,7 @@ def random_parameters(
         mixed=float(u(0, 0.3)),
         beam=float(u(0.05, 0.25)),
         people=0 if still else people,
+        lingering=float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
         seated=int(u(0, 8)) if random.random() < 0.5 else 0,
         vehicles=0 if still else int(random.choice([0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4])),
         glass=float(u(0, 1)),

@@ -192,11 +192,11 @@ class Planner:
         self._goals = walkways.draw(random, 24, room=0.5)
         self._seats = list(random.permutation(len(stage.seats)))
 
-    def people(self, count: int) -> list[list[Stop]]:
-        """Return the stops of so many people: walkers, groups, sitters and a queue."""
+    def people(self, count: int, lingering: float) -> list[list[Stop]]:
+        """Return the stops of people: some who linger, walkers, groups, sitters and a queue."""
         random = self._random
         weights = random.dirichlet([1.6, 1.0, 1.0, 0.6, 0.5])
-        plans: list[list[Stop]] = []
+        plans: list[list[Stop]] = [self._lingerer() for _ in range(random.binomial(count, lingering))]
         while len(plans) < count:
             kind = random.choice(5, p=weights)
             if kind == 1:
@@ -212,8 +212,11 @@ class Planner:
         return plans[:count]
 
     def errands(self, count: int) -> list[list[Stop]]:
-        """Return the stops of things that drive where people go."""
-        return [self._walker(long_waits=False) for _ in range(count)]
+        """Return the stops of things that drive where people go, or are put elsewhere once."""
+        return [
+            self._put_elsewhere() if self._random.random() < 0.4 else self._walker(long_waits=False)
+            for _ in range(count)
+        ]
 
     def take_seat(self) -> int | None:
         """Return the number of a free seat and take it, if there is one."""
@@ -236,6 +239,26 @@ class Planner:
         if random.random() < 0.5:
             stops[0] = self._at(stops[0].node, random.uniform(0, self._duration))
         return [*stops, self._at(self._goal(), 0.0)]
+
+    def _lingerer(self) -> list[Stop]:
+        """Stand at one place for most or all of the time."""
+        random = self._random
+        here = int(self._walkways.draw(random, 1)[0])
+        wait = random.uniform(0.3, 0.97) * self._duration
+        yaw = float(random.uniform(-np.pi, np.pi))
+        if random.random() < 0.4:
+            return [self._at(here, self._duration, yaw)]
+        if random.random() < 0.5:
+            return [self._at(self._goal(), self._duration - wait), self._at(here, wait, yaw)]
+        return [self._at(here, wait, yaw), self._at(self._goal(), 0.0)]
+
+    def _put_elsewhere(self) -> list[Stop]:
+        """Stand at one place, and from some time on at another."""
+        random = self._random
+        here = int(self._walkways.draw(random, 1)[0])
+        wait = random.uniform(0.1, 0.9) * self._duration
+        yaw = float(random.uniform(-np.pi, np.pi))
+        return [self._at(here, wait, yaw), self._at(self._goal(), 0.0)]
 
     def _group(self, count: int) -> list[list[Stop]]:
         """People who stand in a circle for a while, come one by one and leave about together."""

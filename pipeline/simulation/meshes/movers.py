@@ -31,6 +31,11 @@ class Rigid:
     yaw: NDArray[np.float64]
     surface: Surface
 
+    @property
+    def radius(self) -> float:
+        """How far it reaches from its middle, and a little more, in metres."""
+        return float(np.hypot(*self.mesh.vertices[:, :2].T).max()) * 0.8 + 0.2
+
 
 @dataclass(frozen=True, slots=True)
 class Movers:
@@ -83,7 +88,9 @@ class Movers:
         for number, thing in enumerate(self.rigid):
             time = float(times[len(self.tracks) + number])
             place = _between(thing.place, time)
-            if np.hypot(*(place - sensor)[:2]) < reach and place[2] > _AWAY[2] / 2:
+            away = float(np.hypot(*(place - sensor)[:2]))
+            # Nothing drives over the sensor: what would is not there for that scan.
+            if thing.radius < away < reach and place[2] > _AWAY[2] / 2:
                 yaw = float(np.interp(time / STEP, np.arange(len(thing.yaw)), thing.yaw))
                 parts.append(thing.mesh.placed(place[0], place[1], place[2], yaw))
                 owners.append(np.full(len(thing.mesh.triangles), len(self.tracks) + number))
@@ -152,7 +159,7 @@ def populate(
     """Draw who and what moves."""
     planner = Planner(stage, walkways, duration, random)
     _seat_people(stage, planner, parameters.seated, random)
-    plans = planner.people(parameters.people)
+    plans = planner.people(parameters.people, parameters.lingering)
     count = parameters.vehicles
     driven = [lane for lane in stage.lanes if lane.kinds]
     pushed = random.integers(0, count + 1) if driven else count
@@ -167,10 +174,8 @@ def populate(
     rigid = []
     for plan in errands:
         track = follow(plan, guide, float(random.uniform(0.4, 1.6)), duration, random, shift=0.0)
-        kind = str(random.choice(["robot", "dog", "robot"]))
-        rigid.append(
-            Rigid(VEHICLES[kind](random), track.place, track.yaw, Surface.MACHINE)
-        )
+        kind = str(random.choice(["robot", "robot", "dog", "chair", "crate"]))
+        rigid.append(Rigid(VEHICLES[kind](random), track.place, track.yaw, Surface.MACHINE))
     for _ in range(count - len(errands)):
         rigid.append(_driver(driven[int(random.integers(len(driven)))], duration, random))
     rigid += _doors(stage, duration, random, parameters.vehicles)

@@ -85,6 +85,9 @@ class MeshParameters(BaseModel):
     beam: float = Field(0.17, ge=0, description="Width of a ray, in degrees.")
 
     people: int = Field(8, ge=0, description="People who come, go, gather, sit and queue.")
+    lingering: float = Field(
+        0.2, ge=0, le=1, description="Share of them who stand at one place most or all of the time."
+    )
     seated: int = Field(3, ge=0, description="People who sit or stand all the time.")
     vehicles: int = Field(2, ge=0, description="Cars, forklifts, robots, doors, chairs: wheels.")
     glass: float = Field(0.5, ge=0, le=1, description="How much of a scene is glass.")

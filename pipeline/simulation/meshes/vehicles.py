@@ -113,6 +113,19 @@ def dog(random: np.random.Generator) -> Mesh:
     return Mesh(body.vertices * size, body.triangles)
 
 
+def chair(random: np.random.Generator) -> Mesh:
+    """Make a chair that somebody pushes elsewhere."""
+    legs = [[[x, y, 0], [x, y, 0.45]] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    seat = [[0, 0, 0.45, 0.44, 0.44, 0.05], [-0.21, 0, 0.72, 0.04, 0.42, random.uniform(0.3, 0.5)]]
+    return Mesh.joined([boxes(seat), tubes(legs, 0.016, 4)])
+
+
+def crate(random: np.random.Generator) -> Mesh:
+    """Make a crate, a bin or a carton that somebody carries elsewhere."""
+    size = random.uniform(0.3, 0.9, 3)
+    return boxes([0, 0, size[2] / 2, *size])
+
+
 def _wheels(apart: float, width: float, radius: float) -> Mesh:
     """Make four wheels."""
     ends = [
@@ -131,5 +144,7 @@ VEHICLES: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "forklift": forklift,
     "robot": robot,
     "dog": dog,
+    "chair": chair,
+    "crate": crate,
 }
 """What makes each kind."""

@@ -10,10 +10,11 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from pipeline.simulation.meshes.raycasting import Caster
-from pipeline.simulation.meshes.stage import Stage
+from pipeline.simulation.meshes.stage import Floor, Stage
 
 _HEIGHTS = (0.4, 0.95, 1.5)
 CLEARANCE = 0.34
+_UNDERFOOT = 0.1  # metres from a node to the ground that carries it
 _STEPS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
@@ -88,21 +89,21 @@ class Walkways:
 
 
 def _lattice(
-    floor: object, caster: Caster, spacing: float
+    floor: Floor, caster: Caster, spacing: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Return free places of a floor, their room, and pairs of neighbours."""
-    x0, y0, x1, y1 = floor.bounds  # type: ignore[attr-defined]
+    x0, y0, x1, y1 = floor.bounds
     shape = (max(2, int((x1 - x0) / spacing)), max(2, int((y1 - y0) / spacing)))
     x, y = np.meshgrid(
         np.linspace(x0 + 0.2, x1 - 0.2, shape[0]), np.linspace(y0 + 0.2, y1 - 0.2, shape[1]),
         indexing="ij",
     )  # fmt: skip
-    z = floor.height(x, y)  # type: ignore[attr-defined]
+    z = floor.height(x, y)
     places = np.stack([x, y, z], axis=-1).reshape(-1, 3)
     room = np.min(
         [caster.clearance(places + np.array([0, 0, up])) for up in _HEIGHTS], axis=0
     )
-    free = room >= CLEARANCE
+    free = (room >= CLEARANCE) & (caster.clearance(places) < _UNDERFOOT)
     number = np.where(free, np.cumsum(free) - 1, -1).reshape(shape)
     pairs = []
     for dx, dy in _STEPS:
