@@ -53,7 +53,7 @@ def random_parameters(
         interval=float(random.choice([0.1, 0.2, 0.5, 1.0])) if not keyed else 0.1,
         key_distance=float(u(0.2, 1.0)) * (3.0 if vehicle else 1.0) if keyed else 0.0,
         rate=float(random.choice([5.0, 10.0, 10.0, 20.0])),
-        drive=mode,
+        mode=mode,
         speed=float(u(2.5, 9) if vehicle else u(0.5, 1.5)),
         sensor_height=float(u(1.6, 2.4) if vehicle else random.choice([u(0.3, 0.7), u(0.7, 1.3)])),
         wobble=float(u(0.5, 5)) if not vehicle and random.random() < 0.3 else float(u(0, 0.3)),

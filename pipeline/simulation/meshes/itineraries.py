@@ -218,10 +218,6 @@ class Planner:
             for _ in range(count)
         ]
 
-    def take_seat(self) -> int | None:
-        """Return the number of a free seat and take it, if there is one."""
-        return int(self._seats.pop()) if self._seats else None
-
     def _at(self, node: int, wait: float, yaw: float | None = None) -> Stop:
         return Stop(int(node), self._walkways.nodes[node], wait, yaw)
 

@@ -158,7 +158,6 @@ def populate(
 ) -> Movers:
     """Draw who and what moves."""
     planner = Planner(stage, walkways, duration, random)
-    _seat_people(stage, planner, parameters.seated, random)
     plans = planner.people(parameters.people, parameters.lingering)
     count = parameters.vehicles
     driven = [lane for lane in stage.lanes if lane.kinds]
@@ -190,24 +189,27 @@ def populate(
     )
 
 
-def _seat_people(
-    stage: Stage, planner: Planner, count: int, random: np.random.Generator
-) -> None:
-    """Put people who sit all the time into the scene that stands."""
-    numbers = [number for _ in range(count) if (number := planner.take_seat()) is not None]
-    if not numbers:
+def seat_people(stage: Stage, count: int) -> None:
+    """Put people who sit all the time into the scene that stands; their seats are taken."""
+    random = stage.random
+    order = random.permutation(len(stage.seats))
+    seats = [stage.seats[number] for number in order[:count]]
+    stage.seats = [stage.seats[number] for number in order[count:]]
+    if not seats:
         return
-    seats = [stage.seats[number] for number in numbers]
     zero = np.zeros(len(seats))
     mesh, _ = people_mesh(
         draw_bodies(random, len(seats), 0.0),
         Postures(
             place=np.array([[seat.x, seat.y, seat.z] for seat in seats]),
             yaw=np.array([seat.yaw for seat in seats]),
-            phase=zero, stride=zero, sitting=zero + 1,
-            seat=np.array([seat.height for seat in seats]), lean=random.uniform(-0.1, 0.3, len(seats)),
+            phase=zero,
+            stride=zero,
+            sitting=zero + 1,
+            seat=np.array([seat.height for seat in seats]),
+            lean=random.uniform(-0.1, 0.3, len(seats)),
         ),
-    )  # fmt: skip
+    )
     stage.mesh(mesh, Surface.PERSON)
 
 

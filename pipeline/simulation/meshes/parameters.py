@@ -1,6 +1,7 @@
 """What a simulation of meshes can be told."""
 
 from enum import StrEnum
+from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -51,6 +52,13 @@ class MeshParameters(BaseModel):
     sensor: SensorKind = Field(SensorKind.VLP16, description="The sensor.")
     seed: int = Field(0, ge=0, description="Seed of all that is random.")
 
+    drive: int = Field(
+        0,
+        ge=0,
+        description="Number of the drive: another one goes through the same scene, with other "
+        "people, noise and drift.",
+    )
+
     scans: int = Field(150, ge=1, description="Scans that enter the map.")
     rays: int = Field(
         14_000, ge=64, description="Rays of a scan, about: rings are thinned in azimuth."
@@ -61,7 +69,7 @@ class MeshParameters(BaseModel):
     )
     rate: float = Field(10.0, gt=0, description="Scans that the sensor makes, per second.")
 
-    drive: DriveMode = Field(DriveMode.THROUGH, description="How the sensor gets about.")
+    mode: DriveMode = Field(DriveMode.THROUGH, description="How the sensor gets about.")
     speed: float = Field(1.0, gt=0, description="Its speed, in metres per second.")
     sensor_height: float = Field(0.9, ge=0.2, le=3, description="Above the ground, in metres.")
     wobble: float = Field(
@@ -105,3 +113,13 @@ class MeshParameters(BaseModel):
     scan_voxel: float = Field(0.0, ge=0, description="Each scan's voxel filter, in metres; 0: none.")
     voxel: float = Field(0.0, ge=0, description="The map's voxel filter, in metres; 0 for none.")
     keep: float = Field(1.0, gt=0, le=1, description="Share of points that the map keeps.")
+
+    @property
+    def expected_points(self) -> int:
+        """Points of the map, were every ray to return."""
+        return self.scans * self.rays
+
+    def low_activity(self) -> Self:
+        """Return another drive through the same scene while only two people walk about."""
+        quiet = {"drive": self.drive + 1, "people": min(self.people, 2), "vehicles": 0}
+        return self.model_copy(update=quiet)

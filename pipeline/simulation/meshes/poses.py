@@ -23,14 +23,15 @@ class Drive:
     ----------
     times : (s,) float64 array
         When each scan begins, in seconds.
-    true, estimated : (s, 3, 4) float64 array
-        From the sensor's frame to the scene's, and to the map's.
+    true, true_in_map, estimated : (s, 3, 4) float64 array
+        From the sensor's frame to the scene's, and to the map's: truly and as estimated.
     velocity : (s, 3) float64 array
         In the scene's frame.
     """
 
     times: NDArray[np.float64]
     true: NDArray[np.float64]
+    true_in_map: NDArray[np.float64]
     estimated: NDArray[np.float64]
     velocity: NDArray[np.float64]
 
@@ -38,7 +39,7 @@ class Drive:
 def longest(parameters: MeshParameters) -> float:
     """Return how long the recording lasts at most, in seconds."""
     between = parameters.interval
-    if parameters.key_distance and parameters.drive is not DriveMode.STAND:
+    if parameters.key_distance and parameters.mode is not DriveMode.STAND:
         between = max(between, 1.6 * parameters.key_distance / parameters.speed)
     return parameters.scans * between + 2
 
@@ -52,7 +53,7 @@ def sensor_track(
     """Draw the way of the sensor's foot."""
     duration = longest(parameters)
     goals = walkways.draw(random, 10, room=0.6)
-    if parameters.drive is DriveMode.STAND:
+    if parameters.mode is DriveMode.STAND:
         here = int(goals[0])
         stops = [Stop(here, walkways.nodes[here], duration, float(random.uniform(-3, 3)))]
         return follow(stops, walkways.guide(goals[:1]), 1.0, duration, random, shift=0.0)
@@ -61,7 +62,7 @@ def sensor_track(
     stops, going = [], 0.0
     while going < duration:
         wait = 0.0
-        if parameters.drive is DriveMode.STOP_AND_GO:
+        if parameters.mode is DriveMode.STOP_AND_GO:
             wait = float(random.exponential(12.0)) if random.random() < 0.7 else 0.0
         goal = int(random.choice(goals))
         stops.append(Stop(goal, walkways.nodes[goal], wait))
@@ -77,7 +78,7 @@ def _along(
     lengths = np.linalg.norm(np.diff(lane.line, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     pace = np.full(count, parameters.speed)
-    if parameters.drive is DriveMode.STOP_AND_GO:
+    if parameters.mode is DriveMode.STOP_AND_GO:
         for _ in range(1 + random.poisson(duration / 40)):
             begin = int(random.integers(count))
             pace[begin : begin + int(random.uniform(5, 30) / STEP)] = 0.0
@@ -108,7 +109,17 @@ def drive(track: Track, parameters: MeshParameters, random: np.random.Generator)
     up = np.array([0, 0, parameters.sensor_height])
     swing = np.array([0.02, 0.02, 0.02]) * (parameters.wobble > 0) * random.normal(size=(count, 3))
     true = _poses(place + up + swing, yaw, tilt)
-    return Drive(times, true, _estimated(true, parameters, random), (later - place) / 0.1)
+    return Drive(
+        times, true, _in_map(true, true[0]), _estimated(true, parameters, random),
+        (later - place) / 0.1,
+    )  # fmt: skip
+
+
+def _in_map(poses: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take poses to the map's frame: level, with the first scan at its origin, as SLAM has it."""
+    level = Rotation.from_euler("z", -np.arctan2(first[1, 0], first[0, 0])).as_matrix()
+    place = (poses[:, :, 3] - first[:, 3]) @ level.T
+    return np.concatenate([level @ poses[:, :, :3], place[:, :, None]], axis=2)
 
 
 def _scan_times(
@@ -117,7 +128,7 @@ def _scan_times(
     """Return when scans enter the map: every so often, or only after so much way."""
     last = samples[-1] - 1.0
     times = np.arange(parameters.scans) * parameters.interval
-    if parameters.key_distance and parameters.drive is not DriveMode.STAND:
+    if parameters.key_distance and parameters.mode is not DriveMode.STAND:
         turned = np.abs(np.gradient(track.yaw)).cumsum()
         way = track.gone + turned * parameters.key_distance / 0.8  # a turn counts as way, too
         marks = way[0] + np.arange(parameters.scans) * parameters.key_distance
@@ -137,10 +148,7 @@ def _poses(
 def _estimated(
     true: NDArray[np.float64], parameters: MeshParameters, random: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return poses with an error that wanders, jitters, and leaves a gap at a loop closure.
-
-    The map's frame is the scene's, turned and shifted so that the first scan lies at its origin.
-    """
+    """Return poses with an error that wanders, jitters, and leaves a gap at a loop closure."""
     count = len(true)
     angle = np.radians(parameters.drift_angle) * np.array([0.3, 0.3, 1.0])
     wander = _ornstein_uhlenbeck(random, count)
@@ -153,14 +161,11 @@ def _estimated(
     begin = random.uniform(0.35, 0.75) * count
     share = np.clip((np.arange(count) - begin) / max(2.0, 0.03 * count), 0, 1)[:, None]
     shift += share * gap
-    first = true[0, :, 3]
-    turn[:, 2] += share[:, 0] * float(random.normal(scale=0.2)) * parameters.loop_gap * 0.1
+    turn[:, 2] += share[:, 0] * float(random.normal(scale=0.02)) * parameters.loop_gap
     error = Rotation.from_rotvec(turn).as_matrix()
-    rotation = error @ true[:, :, :3]
     place = true[:, :, 3] + shift
-    heading = np.arctan2(true[0, 1, 0], true[0, 0, 0])
-    level = Rotation.from_euler("z", -heading).as_matrix()
-    return np.concatenate([level @ rotation, ((place - first) @ level.T)[:, :, None]], axis=2)
+    believed = np.concatenate([error @ true[:, :, :3], place[:, :, None]], axis=2)
+    return _in_map(believed, true[0])
 
 
 def _ornstein_uhlenbeck(random: np.random.Generator, count: int) -> NDArray[np.float64]:

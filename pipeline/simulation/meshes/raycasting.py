@@ -58,6 +58,13 @@ class Hits:
     owner: NDArray[np.int64]
     mirrored: NDArray[np.bool_]
 
+    def of(self, rays: NDArray[np.int64]) -> "Hits":
+        """Return those of some rays."""
+        return Hits(
+            self.distance[rays], self.surface[rays], self.albedo[rays],
+            self.cosine[rays], self.owner[rays], self.mirrored[rays],
+        )  # fmt: skip
+
     def take(self, other: "Hits", where: NDArray[np.bool_]) -> "Hits":
         """Return these hits, but others where told."""
         return Hits(
@@ -174,7 +181,9 @@ class Caster:
             turned = way - 2 * normals * np.sum(way * normals, axis=1, keepdims=True)
             to_mirror = mirror.distance[seen]
             start = origins[seen] + to_mirror[:, None] * way + 1e-3 * turned
-            there = self._through_glass(start, turned, movers, random)
+            # Of their own, so that what a mirror shows changes no other ray's chances.
+            (chances,) = random.spawn(1)
+            there = self._through_glass(start, turned, movers, chances)
             for field in ("surface", "albedo", "cosine", "owner"):
                 getattr(hits, field)[seen] = getattr(there, field)
             hits.distance[seen] = there.distance + to_mirror
@@ -195,8 +204,3 @@ class Caster:
         returns = _GLASS_DUST + _GLASS_SPARKLE * glass.cosine.astype(np.float64) ** 60
         shown = (glass.distance < hits.distance) & (random.random(len(origins)) < returns)
         return hits.take(glass, shown)
-
-
-def one_kind(mesh: Mesh, surface: NDArray[np.uint8], albedo: NDArray[np.float32]) -> Body:
-    """Return triangles with their materials."""
-    return Body(mesh, surface, albedo)
