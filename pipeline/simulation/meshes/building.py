@@ -61,7 +61,9 @@ def wall(
         stage.boxes(rows, Surface.WALL, spot)
 
 
-def windows(stage: Stage, length: float, high: float) -> tuple[tuple[float, float, float, float], ...]:
+def windows(
+    stage: Stage, length: float, high: float
+) -> tuple[tuple[float, float, float, float], ...]:
     """Draw a row of windows along a wall."""
     u = stage.random.uniform
     wide, gap, sill = u(0.9, 2.4), u(0.5, 1.6), u(0.0, 1.0)
@@ -77,7 +79,10 @@ def outer_wall(stage: Stage, start: Place, end: Place, base: float, high: float)
     holes = windows(stage, length, high) if random.random() < 0.8 else ()
     wall(stage, start, end, base, high, holes, thick=0.3)
     yaw = float(np.arctan2(end[1] - start[1], end[0] - start[0]))
-    panes = [[along + wide / 2, 0, (low + top) / 2, wide, 0.012, top - low] for along, wide, low, top in holes]
+    panes = [
+        [along + wide / 2, 0, (low + top) / 2, wide, 0.012, top - low]
+        for along, wide, low, top in holes
+    ]
     spot = (start[0], start[1], base, yaw)
     if panes:
         stage.boxes(panes, Surface.WALL, spot, matter=Matter.GLASS)

@@ -68,7 +68,9 @@ def random_parameters(
         people=0 if still else people,
         lingering=float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
         seated=int(u(0, 8)) if random.random() < 0.5 else 0,
-        vehicles=0 if still else int(random.choice([0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4])),
+        vehicles=0
+        if still
+        else int(random.choice([0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4])),
         glass=float(u(0, 1)),
         mirrors=float(u(0, 0.6)),
         clutter=float(u(0.3, 2)),

@@ -10,7 +10,9 @@ At = tuple[float, float, float, float]
 _F = Surface.FURNITURE
 
 
-def place(stage: Stage, mesh: Mesh, at: At, surface: Surface = _F, albedo: float | None = None) -> None:
+def place(
+    stage: Stage, mesh: Mesh, at: At, surface: Surface = _F, albedo: float | None = None
+) -> None:
     """Put a mesh somewhere."""
     stage.mesh(mesh.placed(*at), surface, albedo)
 
@@ -51,7 +53,9 @@ def office_chair(stage: Stage, at: At) -> None:
     ]
     mesh = Mesh.joined(
         [
-            boxes([[0, 0, seat, 0.46, 0.46, 0.07], [-0.22, 0, seat + 0.38, 0.06, 0.42, u(0.4, 0.65)]]),
+            boxes(
+                [[0, 0, seat, 0.46, 0.46, 0.07], [-0.22, 0, seat + 0.38, 0.06, 0.42, u(0.4, 0.65)]]
+            ),
             tubes([[[0, 0, 0.1], [0, 0, seat]]], 0.03, 5),
             tubes(star, 0.022, 4),
         ]
@@ -81,7 +85,9 @@ def table(stage: Stage, at: At, chairs: int = 4) -> None:
     rows += [[sx * (deep / 2 - 0.08), sy * (long / 2 - 0.08), 0.36, 0.06, 0.06, 0.72]
              for sx in (-1, 1) for sy in (-1, 1)]  # fmt: skip
     for _ in range(stage.random.poisson(2)):
-        rows.append([u(-0.3, 0.3) * deep, u(-0.4, 0.4) * long, 0.83, u(0.05, 0.3), u(0.05, 0.3), 0.14])
+        rows.append(
+            [u(-0.3, 0.3) * deep, u(-0.4, 0.4) * long, 0.83, u(0.05, 0.3), u(0.05, 0.3), 0.14]
+        )
     stage.boxes(rows, _F, at)
     x, y, z, yaw = at
     for number in range(chairs):
@@ -110,7 +116,9 @@ def shelf(stage: Stage, at: At, long: float = 1.0) -> None:
             wide = u(0.03, 0.3)
             if u() < 0.65:
                 tall = u(0.12, 0.9) * (high / boards - 0.05)
-                rows.append([u(-0.05, 0.05), y + wide / 2, z + tall / 2, deep * u(0.5, 0.9), wide, tall])
+                rows.append(
+                    [u(-0.05, 0.05), y + wide / 2, z + tall / 2, deep * u(0.5, 0.9), wide, tall]
+                )
             y += wide + (u(0, 0.3) if u() < 0.3 else 0.005)
     stage.boxes(rows, _F, at)
 
@@ -146,8 +154,13 @@ def plant(stage: Stage, at: At, high: float | None = None) -> None:
     place(stage, tubes([[[0, 0, 0.1], [0, 0, 0.3]]], [[pot * 0.8, pot]], 8), at)
     crown = tall - 0.35
     wide = u(0.15, 0.5)
-    stems = [[[0, 0, 0.3], [*u(-0.6, 0.6, 2) * wide, 0.35 + u(0.3, 1) * crown]] for _ in range(int(u(2, 8)))]
-    foliage = leaves(random, int(60 + 250 * wide * tall), [wide, wide, crown / 2], u(0.03, 0.12), u(0, 0.6))
+    stems = [
+        [[0, 0, 0.3], [*u(-0.6, 0.6, 2) * wide, 0.35 + u(0.3, 1) * crown]]
+        for _ in range(int(u(2, 8)))
+    ]
+    foliage = leaves(
+        random, int(60 + 250 * wide * tall), [wide, wide, crown / 2], u(0.03, 0.12), u(0, 0.6)
+    )
     shifted = foliage.placed(0, 0, 0.35 + crown / 2)
     place(stage, Mesh.joined([tubes(stems, 0.008, 3), shifted]), at, Surface.VEGETATION)
 
@@ -157,7 +170,9 @@ def curtain(stage: Stage, at: At, long: float, high: float) -> None:
     u = stage.random.uniform
     y = np.linspace(-long / 2, long / 2, max(8, int(long / 0.05)))
     z = np.linspace(u(0.02, 0.15), high, 8)
-    fold = u(0.03, 0.07) * np.sin(2 * np.pi * y / u(0.15, 0.3)) + 0.02 * stage.random.normal(size=len(y))
+    fold = u(0.03, 0.07) * np.sin(2 * np.pi * y / u(0.15, 0.3)) + 0.02 * stage.random.normal(
+        size=len(y)
+    )
     grid = np.empty((len(y), len(z), 3))
     grid[..., 0] = fold[:, None] * np.linspace(1.2, 0.6, len(z))
     grid[..., 1], grid[..., 2] = y[:, None], z
@@ -231,7 +246,9 @@ def sign(stage: Stage, at: At) -> None:
     high, wide = u(0.9, 1.8), u(0.4, 0.9)
     board = boxes([0, 0, high - u(0.3, 0.4), 0.02, wide, u(0.5, 0.7)])
     legs = tubes([[[0, s * wide / 2, 0], [0, s * wide / 2, high]] for s in (-1, 1)], 0.012, 4)
-    foot = tubes([[[-0.25, s * wide / 2, 0.02], [0.25, s * wide / 2, 0.02]] for s in (-1, 1)], 0.012, 4)
+    foot = tubes(
+        [[[-0.25, s * wide / 2, 0.02], [0.25, s * wide / 2, 0.02]] for s in (-1, 1)], 0.012, 4
+    )
     place(stage, Mesh.joined([board, legs, foot]), at)
 
 
@@ -239,7 +256,9 @@ def coat_rack(stage: Stage, at: At) -> None:
     """A coat rack with coats on it: much like a person."""
     random, u = stage.random, stage.random.uniform
     parts = [tubes([[[0, 0, 0], [0, 0, 1.8]]], 0.02, 5)]
-    parts.append(tubes([[[-0.25, 0, 0.03], [0.25, 0, 0.03]], [[0, -0.25, 0.03], [0, 0.25, 0.03]]], 0.02, 4))
+    parts.append(
+        tubes([[[-0.25, 0, 0.03], [0.25, 0, 0.03]], [[0, -0.25, 0.03], [0, 0.25, 0.03]]], 0.02, 4)
+    )
     for angle in random.uniform(0, 2 * np.pi, int(u(0, 4))):
         foot = 0.14 * np.array([np.cos(angle), np.sin(angle), 0])
         ends = [[foot + [0, 0, u(0.6, 0.9)], foot * 0.8 + [0, 0, 1.5]]]
@@ -250,7 +269,9 @@ def coat_rack(stage: Stage, at: At) -> None:
 def pallet(stage: Stage, at: At, high: float | None = None) -> None:
     """A pallet with boxes that leave gaps."""
     u = stage.random.uniform
-    rows = [[0, y, 0.07, 1.2, 0.12, 0.14] for y in (-0.35, 0, 0.35)] + [[0, 0, 0.13, 1.2, 0.8, 0.03]]
+    rows = [[0, y, 0.07, 1.2, 0.12, 0.14] for y in (-0.35, 0, 0.35)] + [
+        [0, 0, 0.13, 1.2, 0.8, 0.03]
+    ]
     tall = u(0.0, 1.6) if high is None else high
     z = 0.15
     while z < tall:
@@ -285,7 +306,10 @@ def rack(stage: Stage, at: At, bays: int, levels: int, fill: float) -> None:
             y = -long / 2 + (slot + 0.5) * wide / 3
             size = np.array([u(0.8, 1.1), u(0.6, 0.85), u(0.2, floor - 0.35)])
             z = number * floor + (0.0 if number else 0.02)
-            rows += [[0, y, z + 0.07, 1.1, 0.8, 0.13], [u(-0.05, 0.05), y, z + 0.14 + size[2] / 2, *size]]
+            rows += [
+                [0, y, z + 0.07, 1.1, 0.8, 0.13],
+                [u(-0.05, 0.05), y, z + 0.14 + size[2] / 2, *size],
+            ]
     stage.boxes(rows, _F, at)
 
 
@@ -329,7 +353,9 @@ def hedge(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None
     parts = []
     for share in (np.arange(count) + 0.5) / count:
         foot = start + share * (end - start)
-        clump = leaves(random, int(160 * high), [0.55, 0.4, high / 2], random.uniform(0.05, 0.1), 0.6)
+        clump = leaves(
+            random, int(160 * high), [0.55, 0.4, high / 2], random.uniform(0.05, 0.1), 0.6
+        )
         parts.append(clump.placed(foot[0], foot[1], foot[2] + high / 2))
     stage.mesh(Mesh.joined(parts), Surface.VEGETATION)
 

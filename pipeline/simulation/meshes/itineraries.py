@@ -114,9 +114,7 @@ def follow(
         if total >= count:
             break
     seat = np.concatenate(seats)[:count]
-    return _track(
-        np.concatenate(places)[:count], np.concatenate(yaws)[:count], seat, random, shift
-    )
+    return _track(np.concatenate(places)[:count], np.concatenate(yaws)[:count], seat, random, shift)
 
 
 def _paced(way: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
@@ -196,7 +194,9 @@ class Planner:
         """Return the stops of people: some who linger, walkers, groups, sitters and a queue."""
         random = self._random
         weights = random.dirichlet([1.6, 1.0, 1.0, 0.6, 0.5])
-        plans: list[list[Stop]] = [self._lingerer() for _ in range(random.binomial(count, lingering))]
+        plans: list[list[Stop]] = [
+            self._lingerer() for _ in range(random.binomial(count, lingering))
+        ]
         while len(plans) < count:
             kind = random.choice(5, p=weights)
             if kind == 1:

@@ -256,9 +256,7 @@ def _rider(random: np.random.Generator) -> Mesh:
     return mesh
 
 
-def _doors(
-    stage: Stage, duration: float, random: np.random.Generator, most: int
-) -> list[Rigid]:
+def _doors(stage: Stage, duration: float, random: np.random.Generator, most: int) -> list[Rigid]:
     """Open and close some doors."""
     count = min(len(stage.doors), int(random.integers(0, most + 1)))
     rigid = []

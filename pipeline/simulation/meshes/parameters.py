@@ -110,9 +110,16 @@ class MeshParameters(BaseModel):
         0.0, ge=0, description="What a loop closure leaves open, in metres: walls are doubled."
     )
 
-    scan_voxel: float = Field(0.0, ge=0, description="Each scan's voxel filter, in metres; 0: none.")
+    scan_voxel: float = Field(
+        0.0, ge=0, description="Each scan's voxel filter, in metres; 0: none."
+    )
     voxel: float = Field(0.0, ge=0, description="The map's voxel filter, in metres; 0 for none.")
     keep: float = Field(1.0, gt=0, le=1, description="Share of points that the map keeps.")
+
+    @property
+    def points(self) -> None:
+        """A map has what its scans give, not a number of points that is chosen."""
+        return None
 
     @property
     def expected_points(self) -> int:

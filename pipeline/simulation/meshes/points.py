@@ -47,7 +47,10 @@ class Points:
     def joined(cls, parts: Sequence["Points"]) -> "Points":
         """Put points one after the other."""
         return cls(
-            *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls))
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(cls)
+            )
         )
 
     @classmethod

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissingPackageError
-from pipeline.simulation.meshes.mesh import Mesh
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
 
 STATIC = -1

@@ -78,7 +78,9 @@ class Lane:
     closed: bool = False
 
 
-def level(height: float) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+def level(
+    height: float,
+) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
     """Return a floor that is flat."""
     return lambda x, y: np.full(np.shape(x), height)
 

@@ -55,7 +55,9 @@ def bicycle(random: np.random.Generator) -> Mesh:
     angle = np.linspace(0, 2 * np.pi, 13)
     parts = []
     for x in (-base / 2, base / 2):
-        rim = np.column_stack([x + radius * np.cos(angle), 0 * angle, radius + radius * np.sin(angle)])
+        rim = np.column_stack(
+            [x + radius * np.cos(angle), 0 * angle, radius + radius * np.sin(angle)]
+        )
         parts.append(tubes(np.stack([rim[:-1], rim[1:]], axis=1), 0.022, 4))
     hub, front = [-base / 2, 0, radius], [base / 2, 0, radius]
     pedal, seat, head = [-0.08, 0, 0.3], [-0.2, 0, 0.92], [base / 2 - 0.16, 0, 0.9]

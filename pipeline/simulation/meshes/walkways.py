@@ -82,9 +82,7 @@ class Walkways:
     def guide(self, goals: NDArray[np.int64]) -> "Guide":
         """Find the shortest ways from everywhere to some nodes."""
         goals = np.unique(goals)
-        _, before = dijkstra(
-            self.graph, directed=False, indices=goals, return_predecessors=True
-        )
+        _, before = dijkstra(self.graph, directed=False, indices=goals, return_predecessors=True)
         return Guide(self, {int(goal): row for goal, row in zip(goals, before, strict=True)})
 
 
@@ -100,9 +98,7 @@ def _lattice(
     )  # fmt: skip
     z = floor.height(x, y)
     places = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    room = np.min(
-        [caster.clearance(places + np.array([0, 0, up])) for up in _HEIGHTS], axis=0
-    )
+    room = np.min([caster.clearance(places + np.array([0, 0, up])) for up in _HEIGHTS], axis=0)
     free = (room >= CLEARANCE) & (caster.clearance(places) < _UNDERFOOT)
     number = np.where(free, np.cumsum(free) - 1, -1).reshape(shape)
     pairs = []

@@ -66,7 +66,9 @@ def _structure(
         for number in range(aisles):
             for y in (number * pitch + _DEEP - 0.2, (number + 1) * pitch - _DEEP + 0.2):
                 stage.block([x - 0.2, y - 0.2, 0], [x + 0.2, y + 0.2, high], Surface.WALL)
-    pipes = [[[1, y, high - 0.12], [long - 1, y, high - 0.12]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
+    pipes = [
+        [[1, y, high - 0.12], [long - 1, y, high - 0.12]] for y in u(0.5, wide - 0.5, int(u(1, 7)))
+    ]
     stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
     if random.random() < 0.6:
         y = (aisles - 1) * pitch + _DEEP
@@ -85,4 +87,6 @@ def _lanes(stage: Stage, long: float, aisles: int, pitch: float) -> None:
         xs = np.linspace(1.5, long - 1.5, 20)
         forth = np.column_stack([xs, np.full(20, y - 1.2), 0 * xs])
         back = np.column_stack([xs[::-1], np.full(20, y + 1.2), 0 * xs])
-        stage.lanes.append(Lane(np.concatenate([forth, back, forth[:1]]), ("car", "car", "van"), (1.5, 5)))
+        stage.lanes.append(
+            Lane(np.concatenate([forth, back, forth[:1]]), ("car", "car", "van"), (1.5, 5))
+        )

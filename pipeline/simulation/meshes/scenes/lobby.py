@@ -103,7 +103,9 @@ def _railings(stage: Stage, long: float, wide: float) -> None:
     u = stage.random.uniform
     for _ in range(int(u(0, 4))):
         x, y, length = u(2, long - 4), u(5, wide - 2), u(2, 6)
-        along = np.array([length, 0, 0]) if u() < 0.5 else np.array([0, min(length, wide - 1 - y), 0])
+        along = (
+            np.array([length, 0, 0]) if u() < 0.5 else np.array([0, min(length, wide - 1 - y), 0])
+        )
         start = np.array([x, y, 0.0])
         f.railing(stage, start, start + along)
 

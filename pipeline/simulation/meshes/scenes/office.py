@@ -39,7 +39,13 @@ def office(stage: Stage, told: MeshParameters) -> None:
 
 
 def _rooms(
-    stage: Stage, told: MeshParameters, long: float, low: float, top: float, side: float, high: float
+    stage: Stage,
+    told: MeshParameters,
+    long: float,
+    low: float,
+    top: float,
+    side: float,
+    high: float,
 ) -> None:
     """Divide one row into rooms; `side` says where the corridor is: 1 above, -1 below."""
     random, u = stage.random, stage.random.uniform
@@ -70,7 +76,9 @@ def _rooms(
         _furnish(stage, told, (x + 0.2, low + 0.2, end - 0.2, top - 0.2), kind)
         if random.random() < 0.3 * told.mirrors:
             at = end - 0.08
-            stage.block([at - 0.01, low + 1, 0.6], [at, low + 1.8, 1.9], Surface.WALL, matter=Matter.MIRROR)
+            stage.block(
+                [at - 0.01, low + 1, 0.6], [at, low + 1.8, 1.9], Surface.WALL, matter=Matter.MIRROR
+            )
         x = end
 
 
@@ -116,7 +124,9 @@ def _against_a_wall(stage: Stage, room: tuple[float, float, float, float]) -> No
     x = (u(x0, x1), x1 - 0.3, u(x0, x1), x0 + 0.3)[side]
     y = (y0 + 0.3, u(y0, y1), y1 - 0.3, u(y0, y1))[side]
     at = (x, y, 0.0, (np.pi / 2, np.pi, -np.pi / 2, 0.0)[side])
-    thing = random.choice([f.plant, f.cabinet, f.shelf, f.bin_, f.sign, f.coat_rack, f.chair, f.plant])
+    thing = random.choice(
+        [f.plant, f.cabinet, f.shelf, f.bin_, f.sign, f.coat_rack, f.chair, f.plant]
+    )
     thing(stage, at)
 
 

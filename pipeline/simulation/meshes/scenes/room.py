@@ -15,7 +15,9 @@ def room(stage: Stage, told: MeshParameters) -> None:
     long, wide, high = u(4.5, 14), u(4, 11), u(2.4, 4.2)
     passage = u(1.5, 3)
     bounds = (0.0, 0.0, long, wide + passage)
-    stage.block([-1, -1, -0.2], [long + 1, wide + passage + 1, 0], Surface.FLOOR, albedo=u(0.15, 0.7))
+    stage.block(
+        [-1, -1, -0.2], [long + 1, wide + passage + 1, 0], Surface.FLOOR, albedo=u(0.15, 0.7)
+    )
     ceiling(stage, bounds, high)
     stage.floors.append(Floor(bounds, level(0.0)))
     outer_wall(stage, (0, 0), (long, 0), 0, high)

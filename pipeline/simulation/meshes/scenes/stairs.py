@@ -37,9 +37,7 @@ def stairs(stage: Stage, told: MeshParameters) -> None:
         pillar(stage, x, u(0.5, 1.0), 2 * storey)
     lead = np.array([[x0 - 0.8, y0 + broad / 2, 0], [x0 - 0.1, y0 + broad / 2, 0]])
     share = np.linspace(0, 1, 12)[1:-1]
-    climb = np.column_stack(
-        [x0 + share * (x1 - x0), np.full(10, y0 + broad / 2), share * storey]
-    )
+    climb = np.column_stack([x0 + share * (x1 - x0), np.full(10, y0 + broad / 2), share * storey])
     top = np.array([[x1 + 0.2, y0 + broad / 2, storey], [x1 + 0.8, y0 + broad / 2, storey]])
     stage.links.append(np.concatenate([lead, climb, top]))
     _ = random
@@ -57,14 +55,18 @@ def _flight(
     for step in range(steps):
         top = (step + 1) * rise
         deep = top if solid else rise * 1.3
-        rows.append([x0 + (step + 0.5) * run, y0 + broad / 2, top - deep / 2, run + 0.02, broad, deep])
+        rows.append(
+            [x0 + (step + 0.5) * run, y0 + broad / 2, top - deep / 2, run + 0.02, broad, deep]
+        )
     stage.boxes(rows, Surface.FLOOR)
     x1 = x0 + steps * run
     for y in (y0 + 0.06, y0 + broad - 0.06):
         f.railing(stage, np.array([x0, y, 0]), np.array([x1, y, storey]), 0.95)
         edge = y - 0.1 if y < y0 + broad / 2 else y + 0.1
         f.railing(stage, np.array([x0, edge, storey]), np.array([x1, edge, storey]), 1.05)
-    f.railing(stage, np.array([x0 - 0.05, y0, storey]), np.array([x0 - 0.05, y0 + broad, storey]), 1.05)
+    f.railing(
+        stage, np.array([x0 - 0.05, y0, storey]), np.array([x0 - 0.05, y0 + broad, storey]), 1.05
+    )
 
 
 def _things(

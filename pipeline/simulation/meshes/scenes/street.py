@@ -46,12 +46,17 @@ def street(stage: Stage, told: MeshParameters) -> None:
     _ = level
 
 
-def _ground(
-    stage: Stage, long: float, half: float, pavements: list[float], slope: float
-) -> None:
+def _ground(stage: Stage, long: float, half: float, pavements: list[float], slope: float) -> None:
     """Lay carriageway, kerbs and pavements."""
     x = np.linspace(-60, long + 60, 60)
-    widths = [-half - pavements[1] - 25, -half - 0.01, -half, half, half + 0.01, half + pavements[0] + 25]
+    widths = [
+        -half - pavements[1] - 25,
+        -half - 0.01,
+        -half,
+        half,
+        half + 0.01,
+        half + pavements[0] + 25,
+    ]
     rise = [_KERB, _KERB, 0, 0, _KERB, _KERB]
     grid = np.empty((len(x), len(widths), 3))
     grid[..., 0], grid[..., 1] = x[:, None], np.array(widths)
@@ -77,7 +82,12 @@ def _facades(
 
 
 def _house(
-    stage: Stage, told: MeshParameters, along: tuple[float, float], side: float, edge: float, base: float
+    stage: Stage,
+    told: MeshParameters,
+    along: tuple[float, float],
+    side: float,
+    edge: float,
+    base: float,
 ) -> None:
     u = stage.random.uniform
     x0, x1 = along
@@ -91,7 +101,9 @@ def _house(
 
     def piece(low: float, top: float, z0: float, z1: float) -> None:
         if top - low > 0.02 and z1 - z0 > 0.02:
-            rows.append([(low + top) / 2, side * middle, base + (z0 + z1) / 2, top - low, deep, z1 - z0])
+            rows.append(
+                [(low + top) / 2, side * middle, base + (z0 + z1) / 2, top - low, deep, z1 - z0]
+            )
 
     columns = np.arange(x0 + 0.6, x1 - 1.6, pitch)
     for floor in range(floors):
@@ -118,7 +130,10 @@ def _house(
     # What is seen through the windows: a back wall and floors.
     inner = [[(x0 + x1) / 2, side * (edge + 4), base + high / 2, x1 - x0, 0.2, high]]
     inner += [[x, side * (edge + 2), base + high / 2, 0.2, 4, high] for x in (x0, x1)]
-    inner += [[(x0 + x1) / 2, side * (edge + 2), base + n * 3.1, x1 - x0, 4, 0.2] for n in range(1, floors + 1)]
+    inner += [
+        [(x0 + x1) / 2, side * (edge + 2), base + n * 3.1, x1 - x0, 4, 0.2]
+        for n in range(1, floors + 1)
+    ]
     stage.boxes(inner, Surface.WALL)
     _ = told
 
@@ -134,7 +149,9 @@ def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: 
     for _ in range(int(u(1, 5))):
         at = (u(x0 + 1, x1 - 1), side * (edge + u(1.5, 9)), base, 0.0)
         (f.tree if random.random() < 0.5 else f.bush)(stage, at)
-    stage.block([x0, side * (edge + 12), base], [x1, side * (edge + 12) + 0.3, base + u(2, 6)], Surface.WALL)
+    stage.block(
+        [x0, side * (edge + 12), base], [x1, side * (edge + 12) + 0.3, base + u(2, 6)], Surface.WALL
+    )
 
 
 def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -> None:
@@ -147,13 +164,24 @@ def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -
     while x < long - 3:
         if random.random() < share:
             kind = str(random.choice(["car", "car", "car", "van"]))
-            at = (x + 2.5, side * (kerb - 1.1), slope * x, (0 if side < 0 else np.pi) + u(-0.03, 0.03))
+            at = (
+                x + 2.5,
+                side * (kerb - 1.1),
+                slope * x,
+                (0 if side < 0 else np.pi) + u(-0.03, 0.03),
+            )
             f.place(stage, VEHICLES[kind](random), at, Surface.VEHICLE, u(0.05, 0.7))
         x += u(5.4, 7.2)
 
 
 def _pavement_things(
-    stage: Stage, told: MeshParameters, long: float, side: float, inner: float, outer: float, slope: float
+    stage: Stage,
+    told: MeshParameters,
+    long: float,
+    side: float,
+    inner: float,
+    outer: float,
+    slope: float,
 ) -> None:
     random, u = stage.random, stage.random.uniform
     trees = random.random() < 0.5
@@ -179,7 +207,10 @@ def _pavement_things(
             f.bicycle_stand(stage, (at[0], at[1], at[2], 0.0), int(u(2, 6)))
             f.place(stage, VEHICLES["bicycle"](random), (x, y, at[2], u(0, 3)), Surface.VEHICLE)
         elif kind == 3:
-            posts = [[[x + n * 1.4, y, at[2]], [x + n * 1.4, y, at[2] + 0.9]] for n in range(int(u(2, 8)))]
+            posts = [
+                [[x + n * 1.4, y, at[2]], [x + n * 1.4, y, at[2] + 0.9]]
+                for n in range(int(u(2, 8)))
+            ]
             stage.mesh(tubes(posts, 0.05, 7), Surface.FURNITURE)
         elif kind == 4:
             post = [[[0, 0, 0], [0, 0, 2.6]]]
