@@ -18,7 +18,7 @@ def place(
 
 
 def desk(stage: Stage, at: At, clutter: float = 1.0) -> None:
-    """A desk with legs, a screen, a lamp and things on it; one sits at -x."""
+    """Place a desk with legs, a screen, a lamp and things on it; one sits at -x."""
     u = stage.random.uniform
     long, deep, high = u(1.2, 1.8), u(0.65, 0.85), u(0.7, 0.78)
     rows = [[0, 0, high, deep, long, 0.03]]
@@ -34,8 +34,11 @@ def desk(stage: Stage, at: At, clutter: float = 1.0) -> None:
         rows.append([0.05, u(0.3, 0.5) * long * 0.7, 0.3, deep * 0.7, 0.4, 0.58])
     for y in ([0.0], [-0.3, 0.3], [0.1], [])[int(u(0, 4))]:
         wide = u(0.45, 0.65)
-        rows += [[0.18, y, high + 0.3, 0.04, wide, wide * 0.58], [0.2, y, high + 0.1, 0.05, 0.05, 0.2],
-                 [0.18, y, high + 0.02, 0.2, 0.24, 0.02]]  # fmt: skip
+        rows += [
+            [0.18, y, high + 0.3, 0.04, wide, wide * 0.58],
+            [0.2, y, high + 0.1, 0.05, 0.05, 0.2],
+            [0.18, y, high + 0.02, 0.2, 0.24, 0.02],
+        ]
     for _ in range(stage.random.poisson(4 * clutter)):
         size = u(0.05, 0.3, 3) * [1, 1, 0.8]
         rows.append([u(-0.35, 0.35) * deep, u(-0.45, 0.45) * long, high + size[2] / 2, *size])
@@ -43,7 +46,7 @@ def desk(stage: Stage, at: At, clutter: float = 1.0) -> None:
 
 
 def office_chair(stage: Stage, at: At) -> None:
-    """A swivel chair on a star of five, a seat among those that can be taken."""
+    """Place a swivel chair on a star of five, a seat among those that can be taken."""
     u = stage.random.uniform
     seat = u(0.43, 0.52)
     turn = u(0, 2 * np.pi)
@@ -68,7 +71,7 @@ def office_chair(stage: Stage, at: At) -> None:
 
 
 def chair(stage: Stage, at: At) -> None:
-    """A chair with four thin legs."""
+    """Place a chair with four thin legs."""
     u = stage.random.uniform
     legs = [[[x, y, 0], [x * 0.9, y * 0.9, 0.44]] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     back = boxes([[0, 0, 0.45, 0.42, 0.42, 0.04], [-0.2, 0, u(0.7, 0.78), 0.03, 0.4, u(0.15, 0.4)]])
@@ -78,7 +81,7 @@ def chair(stage: Stage, at: At) -> None:
 
 
 def table(stage: Stage, at: At, chairs: int = 4) -> None:
-    """A table with chairs around it."""
+    """Place a table with chairs around it."""
     u = stage.random.uniform
     long, deep = max(0.8, 0.35 * chairs), u(0.7, 1.1)
     rows = [[0, 0, 0.74, deep, long, 0.04]]
@@ -101,7 +104,7 @@ def table(stage: Stage, at: At, chairs: int = 4) -> None:
 
 
 def shelf(stage: Stage, at: At, long: float = 1.0) -> None:
-    """A shelf with boards, and books and boxes with gaps; its back at -x."""
+    """Place a shelf with boards, and books and boxes with gaps; its back at -x."""
     u = stage.random.uniform
     high, deep = u(1.2, 2.3), u(0.28, 0.4)
     boards = int(u(3, 6))
@@ -124,7 +127,7 @@ def shelf(stage: Stage, at: At, long: float = 1.0) -> None:
 
 
 def cabinet(stage: Stage, at: At, high: float | None = None) -> None:
-    """A closed cabinet, perhaps with things on top."""
+    """Place a closed cabinet, perhaps with things on top."""
     u = stage.random.uniform
     tall = u(0.7, 2.0) if high is None else high
     rows = [[0, 0, tall / 2, u(0.4, 0.6), u(0.5, 1.2), tall]]
@@ -135,7 +138,7 @@ def cabinet(stage: Stage, at: At, high: float | None = None) -> None:
 
 
 def sofa(stage: Stage, at: At) -> None:
-    """A sofa for two or three."""
+    """Place a sofa for two or three."""
     long = stage.random.uniform(1.4, 2.3)
     rows = [[0, 0, 0.22, 0.85, long, 0.42], [-0.36, 0, 0.5, 0.2, long, 0.6]]
     rows += [[0, s * long / 2, 0.32, 0.85, 0.16, 0.62] for s in (-1, 1)]
@@ -147,7 +150,7 @@ def sofa(stage: Stage, at: At) -> None:
 
 
 def plant(stage: Stage, at: At, high: float | None = None) -> None:
-    """A plant in a pot: a stem and many small leaves."""
+    """Place a plant in a pot: a stem and many small leaves."""
     random, u = stage.random, stage.random.uniform
     tall = u(0.6, 2.2) if high is None else high
     pot = u(0.12, 0.25)
@@ -166,7 +169,7 @@ def plant(stage: Stage, at: At, high: float | None = None) -> None:
 
 
 def curtain(stage: Stage, at: At, long: float, high: float) -> None:
-    """A wavy curtain along y."""
+    """Place a wavy curtain along y."""
     u = stage.random.uniform
     y = np.linspace(-long / 2, long / 2, max(8, int(long / 0.05)))
     z = np.linspace(u(0.02, 0.15), high, 8)
@@ -180,7 +183,7 @@ def curtain(stage: Stage, at: At, long: float, high: float) -> None:
 
 
 def hanging_lamp(stage: Stage, at: At, ceiling: float) -> None:
-    """A lamp on a thin cable."""
+    """Place a lamp on a thin cable."""
     drop = stage.random.uniform(0.2, min(1.6, 0.4 * ceiling))
     cable = tubes([[[0, 0, ceiling], [0, 0, ceiling - drop]]], 0.006, 3)
     shade = tubes([[[0, 0, ceiling - drop - 0.1], [0, 0, ceiling - drop]]], [[0.2, 0.06]], 8)
@@ -188,7 +191,7 @@ def hanging_lamp(stage: Stage, at: At, ceiling: float) -> None:
 
 
 def railing(stage: Stage, start: np.ndarray, end: np.ndarray, high: float = 1.05) -> None:
-    """A handrail on posts between two places, with bars, wires or a pane's frame."""
+    """Place a handrail on posts between two places, with bars, wires or a pane's frame."""
     u = stage.random.uniform
     length = float(np.linalg.norm(end - start))
     posts = max(2, int(length / 1.2) + 1)
@@ -210,7 +213,7 @@ def railing(stage: Stage, start: np.ndarray, end: np.ndarray, high: float = 1.05
 
 
 def counter(stage: Stage, at: At, long: float = 3.0) -> None:
-    """A counter with things and screens on it."""
+    """Place a counter with things and screens on it."""
     u = stage.random.uniform
     rows = [[0, 0, 0.52, 0.6, long, 1.04], [0.15, 0, 1.07, 0.5, long, 0.05]]
     for _ in range(stage.random.poisson(1.5 * long)):
@@ -220,7 +223,7 @@ def counter(stage: Stage, at: At, long: float = 3.0) -> None:
 
 
 def bench(stage: Stage, at: At) -> None:
-    """A bench of boards, perhaps with a back."""
+    """Place a bench of boards, perhaps with a back."""
     u = stage.random.uniform
     long = u(1.2, 2.2)
     rows = [[x, 0, 0.44, 0.12, long, 0.035] for x in (-0.16, 0, 0.16)]
@@ -234,14 +237,14 @@ def bench(stage: Stage, at: At) -> None:
 
 
 def bin_(stage: Stage, at: At) -> None:
-    """A round bin or barrel."""
+    """Place a round bin or barrel."""
     u = stage.random.uniform
     wide, tall = u(0.14, 0.3), u(0.35, 1.0)
     place(stage, tubes([[[0, 0, wide * 0.6], [0, 0, tall - wide * 0.6]]], wide, 10), at)
 
 
 def sign(stage: Stage, at: At) -> None:
-    """A board on thin legs: a flip chart, an easel or a sandwich board."""
+    """Place a board on thin legs: a flip chart, an easel or a sandwich board."""
     u = stage.random.uniform
     high, wide = u(0.9, 1.8), u(0.4, 0.9)
     board = boxes([0, 0, high - u(0.3, 0.4), 0.02, wide, u(0.5, 0.7)])
@@ -253,7 +256,7 @@ def sign(stage: Stage, at: At) -> None:
 
 
 def coat_rack(stage: Stage, at: At) -> None:
-    """A coat rack with coats on it: much like a person."""
+    """Place a coat rack with coats on it: much like a person."""
     random, u = stage.random, stage.random.uniform
     parts = [tubes([[[0, 0, 0], [0, 0, 1.8]]], 0.02, 5)]
     parts.append(
@@ -261,13 +264,13 @@ def coat_rack(stage: Stage, at: At) -> None:
     )
     for angle in random.uniform(0, 2 * np.pi, int(u(0, 4))):
         foot = 0.14 * np.array([np.cos(angle), np.sin(angle), 0])
-        ends = [[foot + [0, 0, u(0.6, 0.9)], foot * 0.8 + [0, 0, 1.5]]]
+        ends = np.array([foot + [0, 0, u(0.6, 0.9)], foot * 0.8 + [0, 0, 1.5]])
         parts.append(tubes(ends, [[0.12, 0.09]], 7))
     place(stage, Mesh.joined(parts), at)
 
 
 def pallet(stage: Stage, at: At, high: float | None = None) -> None:
-    """A pallet with boxes that leave gaps."""
+    """Place a pallet with boxes that leave gaps."""
     u = stage.random.uniform
     rows = [[0, y, 0.07, 1.2, 0.12, 0.14] for y in (-0.35, 0, 0.35)] + [
         [0, 0, 0.13, 1.2, 0.8, 0.03]
@@ -286,7 +289,7 @@ def pallet(stage: Stage, at: At, high: float | None = None) -> None:
 
 
 def rack(stage: Stage, at: At, bays: int, levels: int, fill: float) -> None:
-    """A pallet rack along y with uprights, beams, and pallets with gaps."""
+    """Place a pallet rack along y with uprights, beams, and pallets with gaps."""
     random, u = stage.random, stage.random.uniform
     wide, deep, floor = 2.7, 1.05, u(1.5, 1.9)
     long = bays * wide
@@ -324,7 +327,7 @@ def bicycle_stand(stage: Stage, at: At, count: int) -> None:
 
 
 def tree(stage: Stage, at: At, high: float | None = None, fine: float = 1.0) -> None:
-    """A tree with a trunk, boughs and a crown of leaves in clumps."""
+    """Place a tree with a trunk, boughs and a crown of leaves in clumps."""
     random, u = stage.random, stage.random.uniform
     tall = u(4, 12) if high is None else high
     trunk = u(0.2, 0.45) * tall
@@ -335,7 +338,8 @@ def tree(stage: Stage, at: At, high: float | None = None, fine: float = 1.0) -> 
     clumps = []
     for _ in range(int(u(6, 14))):
         middle = np.array([*random.normal(scale=0.45 * wide, size=2), u(trunk * 0.95, 0.95 * tall)])
-        lines.append([[0, 0, u(trunk * 0.8, min(middle[2], 0.8 * tall) + 0.1)], middle])
+        fork = u(trunk * 0.8, min(middle[2], 0.8 * tall) + 0.1)
+        lines.append([[0, 0, fork], middle.tolist()])
         radii.append([thick * 0.4, thick * 0.12])
         size = u(0.3, 0.55, 3) * wide * [1, 1, 0.8]
         count = int(fine * 260 * size[0] * size[1] + 60)
@@ -346,7 +350,7 @@ def tree(stage: Stage, at: At, high: float | None = None, fine: float = 1.0) -> 
 
 
 def hedge(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None:
-    """A hedge of leaves between two places."""
+    """Place a hedge of leaves between two places."""
     random = stage.random
     length = float(np.linalg.norm(end - start))
     count = int(length / 0.7) + 1
@@ -361,7 +365,7 @@ def hedge(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None
 
 
 def bush(stage: Stage, at: At) -> None:
-    """A bush."""
+    """Place a bush."""
     random, u = stage.random, stage.random.uniform
     wide, tall = u(0.4, 1.3), u(0.5, 1.8)
     clump = leaves(random, int(250 * wide * tall) + 50, [wide, wide * u(0.6, 1), tall / 2],

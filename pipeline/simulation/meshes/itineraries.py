@@ -165,7 +165,8 @@ def _wander(
 ) -> NDArray[np.float64]:
     """Return smooth noise of deviation 1 that is forgotten over some seconds."""
     noise = gaussian_filter1d(random.normal(size=shape), seconds / STEP, axis=0, mode="wrap")
-    return noise * np.sqrt(2 * np.sqrt(np.pi) * seconds / STEP)
+    even: NDArray[np.float64] = noise * np.sqrt(2 * np.sqrt(np.pi) * seconds / STEP)
+    return even
 
 
 class Planner:

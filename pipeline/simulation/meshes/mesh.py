@@ -5,9 +5,13 @@ All lengths are in metres. A shape is made about the origin, z up, and then put 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Rows: TypeAlias = ArrayLike | Sequence[Any]
+"""A table of numbers, in whatever lists it was written."""
 
 _BOX_CORNERS = np.array(
     [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], dtype=np.float64
@@ -58,10 +62,12 @@ class Mesh:
 def turned(points: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
     """Turn points about z, counter-clockwise."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    placed: NDArray[np.float64] = points @ turn
+    return placed
 
 
-def boxes(rows: ArrayLike) -> Mesh:
+def boxes(rows: Rows) -> Mesh:
     """Make upright boxes from rows of the middle's x, y, z and the lengths along x, y and z."""
     table = np.asarray(rows, dtype=np.float64).reshape(-1, 6)
     vertices = table[:, None, :3] + _BOX_CORNERS * table[:, None, 3:]
@@ -130,7 +136,7 @@ def tube_vertices(
     return np.concatenate([rings.reshape(len(ends), -1, 3), poles], axis=1)
 
 
-def tubes(ends: ArrayLike, radii: ArrayLike, sides: int = 6) -> Mesh:
+def tubes(ends: Rows, radii: Rows, sides: int = 6) -> Mesh:
     """Make tapered tubes with rounded ends, all of one radius or each of two."""
     pairs = np.asarray(ends, dtype=np.float64).reshape(-1, 2, 3)
     widths = np.broadcast_to(np.asarray(radii, dtype=np.float64), (len(pairs), 2))

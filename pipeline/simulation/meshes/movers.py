@@ -66,7 +66,8 @@ class Movers:
 
     def places(self, time: float) -> NDArray[np.float64]:
         """Return where each mover is: (p + r, 3)."""
-        rows = [_between(thing.place, time) for thing in (*self.tracks, *self.rigid)]
+        tables = [track.place for track in self.tracks] + [thing.place for thing in self.rigid]
+        rows = [_between(table, time) for table in tables]
         return np.array(rows).reshape(-1, 3)
 
     def target(
@@ -130,11 +131,9 @@ def _between(table: NDArray[np.float64], time: float) -> NDArray[np.float64]:
     """Return a row of a table between its samples; none between where a thing jumps."""
     at = min(max(time / STEP, 0.0), len(table) - 1.001)
     low = int(at)
-    begin, end = table[low], table[low + 1]
-    if np.abs(end - begin).max() > 20:
-        return begin
-    row: NDArray[np.float64] = begin + (end - begin) * (at - low)
-    return row
+    begin: NDArray[np.float64] = table[low]
+    step = table[low + 1] - begin
+    return begin if np.abs(step).max() > 20 else begin + step * (at - low)
 
 
 def _posture(track: Track, time: float) -> tuple[float, ...]:

@@ -98,7 +98,7 @@ def _along(
 def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
     """Choose the times of the scans, and say where the sensor is and is believed to be."""
     samples = np.arange(len(track.yaw)) * STEP
-    times = _scan_times(track, samples, parameters)
+    times = _scan_times(track, parameters)
     place = np.stack([np.interp(times, samples, track.place[:, axis]) for axis in range(3)], axis=1)
     later = np.stack(
         [np.interp(times + 0.1, samples, track.place[:, axis]) for axis in range(3)], axis=1
@@ -122,12 +122,10 @@ def _in_map(poses: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[n
     return np.concatenate([level @ poses[:, :, :3], place[:, :, None]], axis=2)
 
 
-def _scan_times(
-    track: Track, samples: NDArray[np.float64], parameters: MeshParameters
-) -> NDArray[np.float64]:
+def _scan_times(track: Track, parameters: MeshParameters) -> NDArray[np.float64]:
     """Return when scans enter the map: every so often, or only after so much way."""
-    last = samples[-1] - 1.0
-    times = np.arange(parameters.scans) * parameters.interval
+    samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
+    times = (np.arange(parameters.scans) * parameters.interval).astype(np.float64)
     if parameters.key_distance and parameters.mode is not DriveMode.STAND:
         turned = np.abs(np.gradient(track.yaw)).cumsum()
         way = track.gone + turned * parameters.key_distance / 0.8  # a turn counts as way, too
@@ -135,7 +133,8 @@ def _scan_times(
         reached = marks < way[-1]
         times = samples[np.searchsorted(way, marks[reached])]
         times = times[np.append(True, np.diff(times) > 0)]
-    return times[times < last]
+    in_time: NDArray[np.float64] = times[times < samples[-1] - 1.0]
+    return in_time
 
 
 def _poses(

@@ -161,7 +161,9 @@ class Caster:
     def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far each point is from anything that stands."""
         targets = (self.solid, self._glass, self._mirror)
-        return np.min([target.clearance(points) for target in targets], axis=0)
+        away = [target.clearance(points) for target in targets]
+        nearest: NDArray[np.float64] = np.min(away, axis=0)
+        return nearest
 
     def cast(
         self,

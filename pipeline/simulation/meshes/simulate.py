@@ -201,11 +201,13 @@ class Recording:
         near = np.minimum(1.0, (0.25 * told.max_range / np.maximum(distance, 0.1)) ** 2)
         signal = told.sensitivity * hits.albedo * hits.cosine * near
         chance = np.minimum(1.0, signal / _FULL_SIGNAL) * (1 - told.dropouts)
-        return (random.random(len(distance)) < chance) & np.isfinite(hits.distance)
+        returned: NDArray[np.bool_] = random.random(len(distance)) < chance
+        return returned & np.isfinite(hits.distance)
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return unit
 
 
 def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[SimulatedScan]:

@@ -1,14 +1,17 @@
 """The stage: all that stands still, and where one can go, gathered while a scene is built."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.simulation.meshes.mesh import Mesh, boxes
+from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
 from pipeline.simulation.shapes import Surface
+
+T = TypeVar("T")
 
 
 class Matter(IntEnum):
@@ -129,7 +132,7 @@ class Stage:
 
     def boxes(
         self,
-        rows: ArrayLike,
+        rows: Rows,
         surface: Surface,
         at: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
         albedo: float | None = None,
@@ -150,6 +153,10 @@ class Stage:
         lower, upper = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
         row = np.concatenate([(lower + upper) / 2, upper - lower])
         self.mesh(boxes(row), surface, albedo, matter)
+
+    def pick(self, things: Sequence[T]) -> T:
+        """Draw one of some things."""
+        return things[int(self.random.integers(len(things)))]
 
     def body(self, matter: Matter) -> Body:
         """Return all triangles of one matter."""

@@ -103,15 +103,15 @@ def robot(random: np.random.Generator) -> Mesh:
 def dog(random: np.random.Generator) -> Mesh:
     """Make a dog."""
     size = random.uniform(0.6, 1.15)
-    legs = [[[x, y, 0.38], [x + random.uniform(-0.1, 0.1), y, 0.02]]
-            for x in (-0.25, 0.25) for y in (-0.08, 0.08)]  # fmt: skip
-    body = Mesh.joined(
-        [
-            tubes([[[-0.28, 0, 0.45], [0.28, 0, 0.47]]], 0.12),
-            tubes([[[0.3, 0, 0.5], [0.42, 0, 0.62]], [[0.42, 0, 0.64], [0.56, 0, 0.6]],
-                   [[-0.35, 0, 0.5], [-0.55, 0, 0.62]], *legs], [[0.07, 0.07]] * 2 + [[0.03, 0.02]] * 5),
-        ]
-    )  # fmt: skip
+    legs = [
+        [[x, y, 0.38], [x + random.uniform(-0.1, 0.1), y, 0.02]]
+        for x in (-0.25, 0.25)
+        for y in (-0.08, 0.08)
+    ]
+    neck, muzzle = [[0.3, 0, 0.5], [0.42, 0, 0.62]], [[0.42, 0, 0.64], [0.56, 0, 0.6]]
+    tail = [[-0.35, 0, 0.5], [-0.55, 0, 0.62]]
+    thin = tubes([neck, muzzle, tail, *legs], [[0.07, 0.07]] * 2 + [[0.03, 0.02]] * 5)
+    body = Mesh.joined([tubes([[[-0.28, 0, 0.45], [0.28, 0, 0.47]]], 0.12), thin])
     return Mesh(body.vertices * size, body.triangles)
 
 

@@ -48,8 +48,8 @@ class Walkways:
             start += len(places)
         for line in stage.links:
             tree = cKDTree(np.concatenate(nodes))
-            ends = tree.query(line[[0, -1]])[1]
-            chain = np.concatenate([[ends[0]], start + np.arange(len(line)), [ends[1]]])
+            first, last = (int(tree.query(end)[1]) for end in line[[0, -1]])
+            chain = np.concatenate([[first], start + np.arange(len(line)), [last]])
             nodes.append(line)
             rooms.append(np.full(len(line), CLEARANCE + 0.1))
             pairs.append(np.stack([chain[:-1], chain[1:]], axis=1))
@@ -71,8 +71,7 @@ class Walkways:
 
     def nearest(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the node nearest to each place."""
-        found: NDArray[np.int64] = cKDTree(self.nodes).query(np.atleast_2d(places)[:, :3])[1]
-        return found
+        return np.atleast_1d(cKDTree(self.nodes).query(np.atleast_2d(places))[1]).astype(np.int64)
 
     def draw(self, random: np.random.Generator, count: int, room: float = 0.0) -> NDArray[np.int64]:
         """Draw nodes, those with so much room if there are any."""

@@ -24,11 +24,11 @@ def garage(stage: Stage, told: MeshParameters) -> None:
     stage.block([-1, -1, -0.2], [long + 1, wide + 1, 0], Surface.FLOOR, albedo=u(0.15, 0.5))
     stage.block([0, 0, high], [long, wide, high + 0.3], Surface.CEILING)
     stage.floors.append(Floor(bounds, level(0.0)))
-    for here, there in (((0, 0), (long, 0)), ((0, wide), (long, wide)), ((0, 0), (0, wide)),
-                        ((long, 0), (long, wide))):  # fmt: skip
-        open_ = random.random() < 0.3
-        wall(stage, here, there, 0, high, ((0.5, float(np.hypot(here[0] - there[0], here[1] - there[1])) - 1, 1.1,
-                                            high - 0.3),) if open_ else (), 0.3)  # fmt: skip
+    corners = [(0.0, 0.0), (long, 0.0), (long, wide), (0.0, wide)]
+    for here, there in zip(corners, corners[1:] + corners[:1], strict=True):
+        length = float(np.hypot(there[0] - here[0], there[1] - here[1]))
+        gap = ((0.5, length - 1, 1.1, high - 0.3),) if random.random() < 0.3 else ()
+        wall(stage, here, there, 0, high, gap, 0.3)
     full = u(0.15, 0.95)
     for number in range(aisles):
         low = number * pitch
@@ -39,7 +39,7 @@ def garage(stage: Stage, told: MeshParameters) -> None:
     for _ in range(random.poisson(5 * told.clutter)):
         x, side = u(1, long - 1), random.random() < 0.5
         at = (x, 0.5 if side else wide - 0.5, 0.0, np.pi / 2 if side else -np.pi / 2)
-        random.choice([f.bin_, f.sign, f.cabinet])(stage, at)
+        stage.pick([f.bin_, f.sign, f.cabinet])(stage, at)
 
 
 def _bays(stage: Stage, bays: int, y: float, yaw: float, full: float) -> None:

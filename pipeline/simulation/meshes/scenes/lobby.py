@@ -1,4 +1,4 @@
-"""A hall: pillars, counters, benches, railings, plants, shops behind glass, and room for a crowd."""
+"""A hall: pillars, counters, benches, railings, plants, glass, and room for a crowd."""
 
 import numpy as np
 
@@ -96,7 +96,7 @@ def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> No
     for _ in range(random.poisson(6 * told.clutter)):
         side = random.random() < 0.5
         at = (u(1, long - 1), 0.4 if side else wide - 0.4, 0.0, np.pi / 2 if side else -np.pi / 2)
-        random.choice([f.plant, f.cabinet, f.shelf, f.coat_rack, f.chair])(stage, at)
+        stage.pick([f.plant, f.cabinet, f.shelf, f.coat_rack, f.chair])(stage, at)
 
 
 def _railings(stage: Stage, long: float, wide: float) -> None:

@@ -13,7 +13,7 @@ _DOOR = 2.1
 
 def office(stage: Stage, told: MeshParameters) -> None:
     """Build it."""
-    random, u = stage.random, stage.random.uniform
+    u = stage.random.uniform
     long, rows = u(16, 38), int(u(1, 3))
     high, corridor = u(2.4, 3.4), u(1.6, 2.8)
     stage_rows: list[tuple[float, float, float]] = []
@@ -124,9 +124,7 @@ def _against_a_wall(stage: Stage, room: tuple[float, float, float, float]) -> No
     x = (u(x0, x1), x1 - 0.3, u(x0, x1), x0 + 0.3)[side]
     y = (y0 + 0.3, u(y0, y1), y1 - 0.3, u(y0, y1))[side]
     at = (x, y, 0.0, (np.pi / 2, np.pi, -np.pi / 2, 0.0)[side])
-    thing = random.choice(
-        [f.plant, f.cabinet, f.shelf, f.bin_, f.sign, f.coat_rack, f.chair, f.plant]
-    )
+    thing = stage.pick([f.plant, f.cabinet, f.shelf, f.bin_, f.sign, f.coat_rack, f.chair, f.plant])
     thing(stage, at)
 
 
@@ -140,4 +138,4 @@ def _corridors(
             low = random.random() < 0.5
             y = first[1] + 0.3 if low else second[0] - 0.3
             at = (u(1, long - 1), y, 0.0, np.pi / 2 if low else -np.pi / 2)
-            random.choice([f.plant, f.bin_, f.cabinet, f.bench, f.sign])(stage, at)
+            stage.pick([f.plant, f.bin_, f.cabinet, f.bench, f.sign])(stage, at)

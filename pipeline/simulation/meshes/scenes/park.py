@@ -1,6 +1,7 @@
 """A park or a campus: rolling ground, paths, trees, bushes, benches, fences, a building or two."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ def park(stage: Stage, told: MeshParameters) -> None:
     for _ in range(random.poisson(side * side / u(60, 300))):
         f.tree(stage, at(u(0, side), u(0, side)), u(3.5, 14), 0.6)
     for _ in range(random.poisson(side / 4 * told.clutter)):
-        thing = random.choice([f.bush, f.bench, f.bin_, f.sign, f.bush, f.table])
+        thing = stage.pick([f.bush, f.bench, f.bin_, f.sign, f.bush, f.table])
         thing(stage, at(u(1, side - 1), u(1, side - 1)))
     _grass(stage, height, side)
     _edges(stage, height, side)
@@ -77,11 +78,11 @@ def _edges(stage: Stage, height: Height, side: float) -> None:
         marks = here + np.linspace(0, 1, 13)[:, None] * (there - here)
         places = np.column_stack([marks, height(marks[:, 0], marks[:, 1])])
         if kind < 0.35:
-            for first, second in zip(places[:-1], places[1:], strict=True):
+            for first, second in pairwise(places):
                 f.railing(stage, first, second, 1.3)
         elif kind < 0.6:
             high = u(1.0, 2.2)
-            for first, second in zip(places[:-1], places[1:], strict=True):
+            for first, second in pairwise(places):
                 f.hedge(stage, first, second, high)
         elif kind < 0.85:
             middle = places[6]

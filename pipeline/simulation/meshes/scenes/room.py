@@ -51,7 +51,7 @@ def _middle(stage: Stage, told: MeshParameters, long: float, wide: float) -> Non
     elif kind == 3:
         for _ in range(random.poisson(6 * told.clutter)):
             at = (u(1, long - 1), u(1, wide - 1), 0.0, u(0, 2 * np.pi))
-            random.choice([f.chair, f.office_chair, f.bin_, f.sign])(stage, at)
+            stage.pick([f.chair, f.office_chair, f.bin_, f.sign])(stage, at)
 
 
 def _edges(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
@@ -65,4 +65,4 @@ def _edges(stage: Stage, told: MeshParameters, long: float, wide: float) -> None
             (long - 0.35, u(0.5, wide - 0.5), 0.0, np.pi),
         ][side]
         things = [f.shelf, f.cabinet, f.plant, f.coat_rack, f.sofa, f.bin_, f.chair, f.desk]
-        random.choice(things)(stage, at)
+        stage.pick(things)(stage, at)

@@ -11,7 +11,7 @@ from pipeline.simulation.shapes import Surface
 
 def stairs(stage: Stage, told: MeshParameters) -> None:
     """Build it: the well of the stairs lies along x at y from `y0` to `y0 + broad`."""
-    random, u = stage.random, stage.random.uniform
+    u = stage.random.uniform
     long, wide, storey = u(13, 26), u(8, 16), u(2.9, 3.8)
     broad, run = u(1.5, 2.4), u(0.27, 0.32)
     steps = int(np.ceil(storey / 0.17))
@@ -40,7 +40,6 @@ def stairs(stage: Stage, told: MeshParameters) -> None:
     climb = np.column_stack([x0 + share * (x1 - x0), np.full(10, y0 + broad / 2), share * storey])
     top = np.array([[x1 + 0.2, y0 + broad / 2, storey], [x1 + 0.8, y0 + broad / 2, storey]])
     stage.links.append(np.concatenate([lead, climb, top]))
-    _ = random
 
 
 def _flight(

@@ -1,15 +1,17 @@
-"""A street: facades with recesses, pavements, parked cars, trees, hedges, fences, poles, traffic."""
+"""A street: facades with recesses, parked cars, trees, hedges, fences, poles, and traffic."""
 
 import numpy as np
 
 from pipeline.simulation.meshes import furniture as f
+from pipeline.simulation.meshes.building import wall
 from pipeline.simulation.meshes.mesh import boxes, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage, level
+from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.shapes import Surface
 
 _KERB = 0.12
+_STOREY = 3.1
 
 
 def street(stage: Stage, told: MeshParameters) -> None:
@@ -19,18 +21,16 @@ def street(stage: Stage, told: MeshParameters) -> None:
     half = u(3.0, 6.0)
     pavements = [u(2.0, 5.0), u(2.0, 5.0)]
     slope = u(-0.04, 0.04) if random.random() < 0.6 else 0.0
-    bend = u(-0.0008, 0.0008)
     _ground(stage, long, half, pavements, slope)
     for side, wide in zip((1.0, -1.0), pavements, strict=True):
         inner, outer = half, half + wide
-        _facades(stage, told, long, side, outer, slope)
+        _facades(stage, long, side, outer, slope)
         _parked(stage, long, side, inner, slope)
         _pavement_things(stage, told, long, side, inner, outer, slope)
         bounds = (0.0, min(side * inner, side * outer), long, max(side * inner, side * outer))
         stage.floors.append(Floor(bounds, lambda x, y: _KERB + slope * x))
     road = Floor((0.0, -half + 0.1, long, half - 0.1), lambda x, y: slope * x)
     stage.floors.append(road)
-    del bend
     for x in (0.1 * long, 0.5 * long, 0.9 * long):  # where one may cross
         line = np.array([[x, y, slope * x] for y in np.linspace(-half, half, 7)])
         stage.links.append(line)
@@ -43,7 +43,6 @@ def street(stage: Stage, told: MeshParameters) -> None:
         xs = np.linspace(2, long - 2, 40)
         stage.robot_lane = Lane(np.column_stack([xs, np.full(40, -lane), slope * xs]), (), (3, 9))
         stage.lanes = stage.lanes[:1]
-    _ = level
 
 
 def _ground(stage: Stage, long: float, half: float, pavements: list[float], slope: float) -> None:
@@ -64,9 +63,7 @@ def _ground(stage: Stage, long: float, half: float, pavements: list[float], slop
     stage.mesh(sheet(grid), Surface.FLOOR, albedo=float(stage.random.uniform(0.1, 0.4)))
 
 
-def _facades(
-    stage: Stage, told: MeshParameters, long: float, side: float, edge: float, slope: float
-) -> None:
+def _facades(stage: Stage, long: float, side: float, edge: float, slope: float) -> None:
     """Put houses side by side, with recesses, windows, balconies and gaps with fences."""
     random, u = stage.random, stage.random.uniform
     x = -20.0
@@ -77,65 +74,45 @@ def _facades(
             _garden(stage, x, x + wide, side, edge, base)
         else:
             back = u(0, 3.0) if random.random() < 0.4 else 0.0
-            _house(stage, told, (x, x + wide), side, edge + back, base)
+            _house(stage, (x, x + wide), side, edge + back, base)
         x += wide
 
 
-def _house(
-    stage: Stage,
-    told: MeshParameters,
-    along: tuple[float, float],
-    side: float,
-    edge: float,
-    base: float,
-) -> None:
+def _house(stage: Stage, along: tuple[float, float], side: float, edge: float, base: float) -> None:
+    """Build a front with windows, and what is seen through them: a back wall and floors."""
     u = stage.random.uniform
     x0, x1 = along
-    high = u(4, 16)
-    pitch, sill = u(1.8, 3.2), u(0.8, 1.1)
-    albedo = u(0.2, 0.8)
-    rows, panes = [], []
-    deep = 0.35
-    floors = max(1, int(high / 3.1))
-    middle = edge + deep / 2
-
-    def piece(low: float, top: float, z0: float, z1: float) -> None:
-        if top - low > 0.02 and z1 - z0 > 0.02:
-            rows.append(
-                [(low + top) / 2, side * middle, base + (z0 + z1) / 2, top - low, deep, z1 - z0]
-            )
-
-    columns = np.arange(x0 + 0.6, x1 - 1.6, pitch)
+    floors = int(u(1, 6))
+    high = floors * _STOREY
+    sill, pitch = u(0.8, 1.1), u(1.8, 3.2)
+    holes: list[tuple[float, float, float, float]] = []
+    for start in np.arange(0.6, x1 - x0 - 1.6, pitch):
+        width = min(u(0.8, 1.4), pitch - 0.3)
+        holes.append((float(start), width, 0.1 if u() < 0.2 else sill, 2.4))
     for floor in range(floors):
-        z = floor * 3.1
-        last = x0
-        for column in columns:
-            tall = (0.1 if floor == 0 and u() < 0.25 else sill, 2.4)
-            wide = min(u(0.8, 1.4), pitch - 0.3)
-            piece(last, column, z, z + 3.1)
-            piece(column, column + wide, z, z + tall[0])
-            piece(column, column + wide, z + tall[1], z + 3.1)
-            panes.append([column + wide / 2, side * (edge + deep - 0.05),
-                          base + z + (tall[0] + tall[1]) / 2, wide, 0.02, tall[1] - tall[0]])  # fmt: skip
+        z = base + floor * _STOREY
+        front = side * (edge + 0.17)
+        wall(stage, (x0, front), (x1, front), z, _STOREY, tuple(holes), 0.35)
+        for start, width, low, top in holes:
+            pane = [x0 + start + width / 2, side * (edge + 0.3), z + (low + top) / 2]
+            stage.boxes([*pane, width, 0.02, top - low], Surface.WALL, matter=Matter.GLASS)
             if floor and u() < 0.06:
-                stage.boxes([0, 0, 0, wide + 0.8, 1.0, 0.15], Surface.WALL,
-                            (column + wide / 2, side * (edge - 0.5), base + z, 0))  # fmt: skip
-                f.railing(stage, np.array([column - 0.4, side * (edge - 1), base + z]),
-                          np.array([column + wide + 0.4, side * (edge - 1), base + z]))  # fmt: skip
-            last = column + wide
-        piece(last, x1, z, z + 3.1)
-    stage.boxes(rows, Surface.WALL, albedo=albedo)
-    if panes:
-        stage.boxes(panes, Surface.WALL, matter=Matter.GLASS)
-    # What is seen through the windows: a back wall and floors.
-    inner = [[(x0 + x1) / 2, side * (edge + 4), base + high / 2, x1 - x0, 0.2, high]]
+                _balcony(stage, x0 + start - 0.4, x0 + start + width + 0.4, side, edge, z)
+    middle = (x0 + x1) / 2
+    inner = [[middle, side * (edge + 4), base + high / 2, x1 - x0, 0.2, high]]
     inner += [[x, side * (edge + 2), base + high / 2, 0.2, 4, high] for x in (x0, x1)]
     inner += [
-        [(x0 + x1) / 2, side * (edge + 2), base + n * 3.1, x1 - x0, 4, 0.2]
-        for n in range(1, floors + 1)
+        [middle, side * (edge + 2), base + number * _STOREY, x1 - x0, 4, 0.2]
+        for number in range(1, floors + 1)
     ]
     stage.boxes(inner, Surface.WALL)
-    _ = told
+
+
+def _balcony(stage: Stage, x0: float, x1: float, side: float, edge: float, z: float) -> None:
+    row = [(x0 + x1) / 2, side * (edge - 0.5), z, x1 - x0, 1.0, 0.15]
+    stage.boxes(row, Surface.WALL)
+    y = side * (edge - 1)
+    f.railing(stage, np.array([x0, y, z]), np.array([x1, y, z]))
 
 
 def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: float) -> None:

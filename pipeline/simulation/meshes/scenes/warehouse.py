@@ -52,7 +52,7 @@ def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron
         f.desk(stage, at, told.clutter)
         f.office_chair(stage, (at[0], 1.5, 0.0, -np.pi / 2))
     for _ in range(random.poisson(3 * told.clutter)):
-        thing = random.choice([f.bin_, f.cabinet, f.sign, f.shelf, f.plant])
+        thing = stage.pick([f.bin_, f.cabinet, f.sign, f.shelf, f.plant])
         thing(stage, (u(1, wide - 1), long - 0.5, 0.0, -np.pi / 2))
     if random.random() < 0.5:
         y = apron - 0.6
