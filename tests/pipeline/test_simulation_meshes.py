@@ -41,7 +41,7 @@ def test_each_scene_is_seen_by_each_sensor(kind):
         made = simulate_meshes(
             SMALL.model_copy(update={"kind": kind, "sensor": sensor, "scans": 3, "seed": number})
         )
-        assert len(made.points) > 1000, sensor
+        assert len(made.points) > 300, sensor
         assert np.isfinite(made.xyz).all()
         assert made.known.mean() > 0.5
         assert made.poses.shape == made.true_poses.shape == (3, 3, 4)
@@ -155,8 +155,6 @@ def test_drift_thickens_walls_and_a_loop_closure_doubles_them():
 
 @with_open3d
 def test_mixed_pixels_lie_between_two_things():
-    stage = Stage(np.random.default_rng(0))
-    del stage
     clean = SMALL.model_copy(update={**EXACT, "people": 0, "vehicles": 0, "mode": DriveMode.STAND})
     mixed = clean.model_copy(update={"mixed": 1.0, "beam": 0.3})
     away = [Recording(each) for each in (clean, mixed)]
@@ -229,7 +227,7 @@ def test_a_person_walks_with_feet_on_the_ground_and_sits_on_a_seat():
     for each in (standing, walking):
         assert (np.abs(each[:, 0]) < 0.08).all()
         np.testing.assert_allclose(each[:, 1], bodies.height, rtol=0.06)
-    assert (sitting[:, 1] < 0.85 * standing[:, 1]).all()
+    assert (sitting[:, 1] < standing[:, 1] - 0.08).all()
 
 
 def test_boxes_and_tubes_are_closed():

@@ -56,6 +56,7 @@ def random_parameters(
         mode=mode,
         speed=float(u(2.5, 9) if vehicle else u(0.5, 1.5)),
         sensor_height=float(u(1.6, 2.4) if vehicle else random.choice([u(0.3, 0.7), u(0.7, 1.3)])),
+        pitch=float(u(-5, 30)) if sensor is SensorKind.MID360 and random.random() < 0.4 else 0.0,
         wobble=float(u(0.5, 5)) if not vehicle and random.random() < 0.3 else float(u(0, 0.3)),
         own_body=float(u(1.2, 2.5) if vehicle else u(0.25, 0.5)),
         max_range=float(random.choice([15, 30, 60, 100])),

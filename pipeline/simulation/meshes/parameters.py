@@ -72,6 +72,9 @@ class MeshParameters(BaseModel):
     mode: DriveMode = Field(DriveMode.THROUGH, description="How the sensor gets about.")
     speed: float = Field(1.0, gt=0, description="Its speed, in metres per second.")
     sensor_height: float = Field(0.9, ge=0.2, le=3, description="Above the ground, in metres.")
+    pitch: float = Field(
+        0.0, ge=-90, le=90, description="How far the sensor is tilted down ahead, in degrees."
+    )
     wobble: float = Field(
         0.0, ge=0, description="Roll and pitch of a hand or a head, in degrees (deviation)."
     )

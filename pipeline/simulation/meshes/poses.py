@@ -106,6 +106,7 @@ def drive(track: Track, parameters: MeshParameters, random: np.random.Generator)
     yaw = np.interp(times, samples, track.yaw)
     count = len(times)
     tilt = np.radians(parameters.wobble) * random.normal(size=(count, 3)) * [1, 1, 0.3]
+    tilt[:, 1] += np.radians(parameters.pitch)
     up = np.array([0, 0, parameters.sensor_height])
     swing = np.array([0.02, 0.02, 0.02]) * (parameters.wobble > 0) * random.normal(size=(count, 3))
     true = _poses(place + up + swing, yaw, tilt)

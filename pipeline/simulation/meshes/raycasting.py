@@ -12,6 +12,7 @@ from pipeline.simulation.meshes.stage import Body, Matter, Stage
 STATIC = -1
 _GLASS_SPARKLE = 0.55
 _GLASS_DUST = 0.06
+_OFF_MIRROR = 1e-3  # metres: where a turned ray starts, so as not to meet the mirror again
 
 
 def open3d() -> ModuleType:
@@ -181,13 +182,13 @@ class Caster:
             normals = self._mirror.normals(origins[seen], way)
             turned = way - 2 * normals * np.sum(way * normals, axis=1, keepdims=True)
             to_mirror = mirror.distance[seen]
-            start = origins[seen] + to_mirror[:, None] * way + 1e-3 * turned
+            start = origins[seen] + to_mirror[:, None] * way + _OFF_MIRROR * turned
             # Of their own, so that what a mirror shows changes no other ray's chances.
             (chances,) = random.spawn(1)
             there = self._through_glass(start, turned, movers, chances)
             for field in ("surface", "albedo", "cosine", "owner"):
                 getattr(hits, field)[seen] = getattr(there, field)
-            hits.distance[seen] = there.distance + to_mirror
+            hits.distance[seen] = there.distance + to_mirror + _OFF_MIRROR
             hits.mirrored[seen] = True
         return hits
 
