@@ -44,6 +44,7 @@ def random_parameters(
     keyed = random.random() < 0.5
     scans = int(np.exp(u(np.log(60), np.log(500))))
     total = np.exp(u(np.log(4e5), np.log(3e6)))
+    voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     return MeshParameters(
         kind=kind,
         sensor=sensor,
@@ -81,6 +82,8 @@ def random_parameters(
         jitter_angle=float(u(0.0, 0.12)),
         loop_gap=float(u(0.03, 0.15)) if random.random() < 0.25 else 0.0,
         scan_voxel=float(u(0.05, 0.2)) if random.random() < 0.2 else 0.0,
-        voxel=float(random.choice([0.05, 0.05, 0.1, 0.2])) if random.random() < 0.3 else 0.0,
+        voxel=float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
+        if random.random() < 0.3
+        else 0.0,
         keep=float(u(0.2, 1.0)) if random.random() < 0.3 else 1.0,
     )
