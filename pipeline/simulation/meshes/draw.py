@@ -82,8 +82,6 @@ def random_parameters(
         jitter_angle=float(u(0.0, 0.12)),
         loop_gap=float(u(0.03, 0.15)) if random.random() < 0.25 else 0.0,
         scan_voxel=float(u(0.05, 0.2)) if random.random() < 0.2 else 0.0,
-        voxel=float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
-        if random.random() < 0.3
-        else 0.0,
+        voxel=voxel if random.random() < 0.3 else 0.0,
         keep=float(u(0.2, 1.0)) if random.random() < 0.3 else 1.0,
     )
