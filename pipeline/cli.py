@@ -171,7 +171,18 @@ def simulate_command(
     ] = Path("simulated"),
     scene: Annotated[
         str | None,
-        typer.Option(metavar="SCENE", help="indoor (default), storeys, ramp or street."),
+        typer.Option(
+            metavar="SCENE",
+            help="Of boxes: indoor (default), storeys, ramp or street. Of meshes, with Open3D: "
+            "office, lobby, warehouse, garage, corridor, stairs, park, room; street with --sensor.",
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SENSOR",
+            help="Of scenes of meshes: vlp16 (default), ring32, ring64, os64 or mid360.",
+        ),
     ] = None,
     seed: Annotated[
         int | None,
@@ -199,13 +210,12 @@ def simulate_command(
     ] = None,
 ) -> None:
     """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
-    from pipeline.configuration import load_parameters  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
-    from pipeline.simulation import SimulationParameters, write_simulation  # noqa: PLC0415
+    from pipeline.simulation import load_simulation, write_simulation  # noqa: PLC0415
 
-    given = {"scene": scene, "seed": seed, "points": points}
+    given = {"scene": scene, "sensor": sensor, "seed": seed, "points": points}
     options = [f"{name}={value}" for name, value in given.items() if value is not None]
-    parameters = load_parameters(SimulationParameters, None, [*(settings or []), *options])
+    parameters = load_simulation([*(settings or []), *options])
     map_only = parameters.points is not None if map_only is None else map_only
     with watching() as observer:
         observer.stage("simulate", parameters.expected_points)
