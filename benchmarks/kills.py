@@ -9,7 +9,6 @@ were done twice, and whether all result files have the same bytes.
 """
 
 import argparse
-import json
 import os
 import random
 import shutil
@@ -20,6 +19,9 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+
+from pipeline.errors import WorkError
+from pipeline.tiles.sealed import read_sealed
 
 COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
 RESULTS = ("static.pcd", "dynamic.pcd", "labels.parquet")
@@ -86,8 +88,8 @@ def run_for(seconds: float, command: list[str]) -> bool:
 def stage_of(folder: Path) -> str:
     """Return the stage that a run was in."""
     try:
-        return str(json.loads((folder / WORK / "state.json").read_text())["stage"])
-    except (OSError, ValueError):
+        return str(read_sealed(folder / WORK / "state.json")["stage"])
+    except WorkError:
         return "start"
 
 

@@ -32,6 +32,7 @@ from pipeline.tiles.commands import (
     status_command,
     tile_command,
 )
+from tiling.foreign_text import LONGEST_LINE, printable
 
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
@@ -170,7 +171,18 @@ def simulate_command(
     ] = Path("simulated"),
     scene: Annotated[
         str | None,
-        typer.Option(metavar="SCENE", help="indoor (default), storeys, ramp or street."),
+        typer.Option(
+            metavar="SCENE",
+            help="Of boxes: indoor (default), storeys, ramp or street. Of meshes, with Open3D: "
+            "office, lobby, warehouse, garage, corridor, stairs, park, room; street with --sensor.",
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SENSOR",
+            help="Of scenes of meshes: vlp16 (default), ring32, ring64, os64 or mid360.",
+        ),
     ] = None,
     seed: Annotated[
         int | None,
@@ -198,13 +210,12 @@ def simulate_command(
     ] = None,
 ) -> None:
     """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
-    from pipeline.configuration import load_parameters  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
-    from pipeline.simulation import SimulationParameters, write_simulation  # noqa: PLC0415
+    from pipeline.simulation import load_simulation, write_simulation  # noqa: PLC0415
 
-    given = {"scene": scene, "seed": seed, "points": points}
+    given = {"scene": scene, "sensor": sensor, "seed": seed, "points": points}
     options = [f"{name}={value}" for name, value in given.items() if value is not None]
-    parameters = load_parameters(SimulationParameters, None, [*(settings or []), *options])
+    parameters = load_simulation([*(settings or []), *options])
     map_only = parameters.points is not None if map_only is None else map_only
     with watching() as observer:
         observer.stage("simulate", parameters.expected_points)
@@ -262,7 +273,8 @@ def main() -> NoReturn:
         if code is None:
             logger.exception("this is a defect of dynahull-pipeline; please report it")
             sys.exit(EXIT_FAILURE)
-        _fail(" ".join(str(error).split()) or type(error).__name__, code)
+        message = " ".join(str(error).split()) or type(error).__name__
+        _fail(printable(message, LONGEST_LINE), code)
     sys.exit(0)
 
 
@@ -292,10 +304,12 @@ def _expected_exit_code(error: Exception) -> int | None:
         MissingClassificationError,
     )
     from pipeline.errors import ConfigurationError, PipelineError  # noqa: PLC0415
-    from tiling.errors import TilingError  # noqa: PLC0415
+    from tiling.errors import ChunkError, TilingError  # noqa: PLC0415
 
     if isinstance(error, ConfigurationError | InvalidParametersError):
         return EXIT_USAGE
+    if isinstance(error, ChunkError):  # it is about work, and not about the map
+        return EXIT_FAILURE
     if isinstance(error, TilingError | MissingClassificationError):
         return EXIT_BAD_INPUT
     if isinstance(error, DynaHullError | PipelineError | OSError | MemoryError):

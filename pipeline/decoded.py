@@ -1,5 +1,6 @@
 """A map in memory: its points, and as much of it as was decoded, which need not be done again."""
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -47,10 +48,12 @@ class DecodedMap:
         """Yield the points of a file of the map, as its reader does."""
         if not self.kept:
             yield from self.collection.readers[file].batches(BATCH)
-        for of_file, batch in self.kept:
-            if of_file == file:
-                first_row = batch.first_row - self.collection.first_rows[file]
-                yield replace(batch, first_row=first_row)
+        # They are in the order of the files.
+        first = bisect_left(self.kept, file, key=_file_of)
+        stop = bisect_right(self.kept, file, key=_file_of)
+        for _, batch in self.kept[first:stop]:
+            first_row = batch.first_row - self.collection.first_rows[file]
+            yield replace(batch, first_row=first_row)
 
 
 def read_map(
@@ -101,6 +104,10 @@ def read_map(
             kept.clear()
         observer.advance(len(batch.xyz))
     return DecodedMap(collection, points, classes, unwanted, tuple(kept))
+
+
+def _file_of(kept: tuple[int, PointBatch]) -> int:
+    return kept[0]
 
 
 def _size_of(records: Any) -> int:

@@ -1,8 +1,19 @@
 """The errors of the product: one base class, flat subclasses, one line each."""
 
+from tiling.foreign_text import LONGEST_LINE, printable
+
 
 class PipelineError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of every error that this package raises on purpose.
+
+    Parameters
+    ----------
+    message : str
+        Made one printable line: it may quote names of files, and what they hold.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(" ".join(str(message).split()), LONGEST_LINE))
 
 
 class ConfigurationError(PipelineError):

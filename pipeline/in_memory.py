@@ -23,6 +23,10 @@ from pipeline.resources import memory_left
 from pipeline.taking_part import warn_of_left_out
 from pipeline.write_results import write_maps
 from tiling.formats.collection import MapCollection
+from tiling.resolution import coarse_step_notes, typical_place
+
+_LOOKED_AT = 10_000
+"""Points that tell where the map lies."""
 
 
 def clean_in_memory(
@@ -40,6 +44,9 @@ def clean_in_memory(
     if decoded.left_out is not None:
         count = int(np.count_nonzero(decoded.left_out & valid_points(decoded.points)))
         warn_of_left_out(count, configuration.input, observer)
+    sample = decoded.points[:: max(len(decoded.points) // _LOOKED_AT, 1)]
+    for note in coarse_step_notes(collection.readers, typical_place(sample), collection.metres):
+        observer.warn(note)
     result = clean(
         decoded.points,
         configuration.method(),
@@ -53,8 +60,8 @@ def clean_in_memory(
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
         apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
         labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
-        sample = MapSample.of_map(decoded.points, labels, result.cluster, result.density)
-        views = partial(Views.of, sample, result.clusters, configuration.removal)
+        shown = MapSample.of_map(decoded.points, labels, result.cluster, result.density)
+        views = partial(Views.of, shown, result.clusters, configuration.removal)
     output = configuration.output
     write_maps(
         collection,

@@ -7,10 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from pipeline.duplicates import DuplicateCounter
 from pipeline.units import in_words
+from tiling.foreign_text import LONGEST_LINE, printable
 from tiling.formats import MapReader
 from tiling.formats.collection import MapCollection, find_map_files
 from tiling.formats.units import Units
+from tiling.resolution import coarse_step_notes, typical_place
+
+_NAMED_FIELDS = 100
+"""Fields that are named to people; all of them are in the JSON."""
+
+_LONGEST_NAME = 60
+"""Characters of a field's name, which may be anything that the file says."""
+
+_SAMPLED = 1000
+"""Points of a batch that tell where the map lies."""
 
 
 class FileInfo(BaseModel):
@@ -31,12 +43,13 @@ class FileInfo(BaseModel):
         """Take over a reader's description."""
         said = reader.description
         return cls(
-            path=str(said.path),
+            path=printable(said.path, LONGEST_LINE),
             format=said.format,
             size_bytes=said.path.stat().st_size,
             points=said.point_count,
             fields=[
-                f"{field.name}: {field.dtype}" + (f" x {field.count}" if field.count > 1 else "")
+                f"{printable(field.name, _LONGEST_NAME)}: {printable(field.dtype, _LONGEST_NAME)}"
+                + (f" x {field.count}" if field.count > 1 else "")
                 for field in said.fields
             ],
             crs=said.crs,
@@ -61,6 +74,8 @@ class MapInfo(BaseModel):
         Points with a coordinate that is NaN or infinite.
     duplicates : int
         Finite points at coordinates that an earlier point has already.
+    notes : list of str
+        What of the whole map is to be minded.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -72,6 +87,7 @@ class MapInfo(BaseModel):
     maximum: tuple[float, float, float] | None
     non_finite: int
     duplicates: int
+    notes: list[str] = []
 
     def to_text(self) -> str:
         """Return the information as aligned lines."""
@@ -79,7 +95,9 @@ class MapInfo(BaseModel):
         for file in self.files:
             lines += [f"file        {file.path}", f"format      {file.format}"]
             lines += [f"points      {file.points:,}", f"size        {file.size_bytes:,} bytes"]
-            lines += [f"fields      {', '.join(file.fields)}", f"CRS         {file.system}"]
+            more = len(file.fields) - _NAMED_FIELDS
+            fields = ", ".join(file.fields[:_NAMED_FIELDS]) + (f" and {more} more" * (more > 0))
+            lines += [f"fields      {fields}", f"CRS         {file.system}"]
             lines += [f"note        {note}" for note in file.notes] + [""]
         if len(self.files) > 1:
             lines.append(f"all points  {self.points:,} in {len(self.files)} files")
@@ -90,6 +108,7 @@ class MapInfo(BaseModel):
                 lines.append(f"{axis}           {low:,.3f} to {high:,.3f} ({size})")
         lines.append(f"non-finite  {self.non_finite:,}")
         lines.append(f"duplicates  {self.duplicates:,}")
+        lines += [f"note        {note}" for note in self.notes]
         return "\n".join(lines)
 
 
@@ -112,45 +131,40 @@ def inspect_map(maps: Sequence[str | Path]) -> MapInfo:
     """
     collection = MapCollection(find_map_files(maps))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    finite_count, finite_points = 0, []
-    for _, batch in collection.batches():
-        finite = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
-        finite_count += len(finite)
-        finite_points.append(finite)
-        if len(finite):
-            low, high = np.minimum(low, finite.min(axis=0)), np.maximum(high, finite.max(axis=0))
+    finite_count, sample = 0, [np.empty((0, 3))]
+    with DuplicateCounter(collection.point_count) as duplicates:
+        for _, batch in collection.batches():
+            finite = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+            finite_count += len(finite)
+            duplicates.add(finite)
+            sample.append(finite[:: max(len(finite) // _SAMPLED, 1)].copy())
+            if len(finite):
+                low = np.minimum(low, finite.min(axis=0))
+                high = np.maximum(high, finite.max(axis=0))
+        duplicate_count = duplicates.total()
+    units = _units(collection)
+    across = (units.horizontal and units.horizontal.metres) or 1.0
+    metres = np.array([across, across, (units.vertical and units.vertical.metres) or across])
     return MapInfo(
         files=[FileInfo.of(reader) for reader in collection.readers],
         points=collection.point_count,
-        units=_symbols(collection),
+        units=_symbols(units),
         minimum=_triple(low) if finite_count else None,
         maximum=_triple(high) if finite_count else None,
         non_finite=collection.point_count - finite_count,
-        duplicates=count_duplicates(finite_points),
+        duplicates=duplicate_count,
+        notes=coarse_step_notes(
+            collection.readers, typical_place(np.concatenate(sample)) * metres, metres
+        ),
     )
 
 
-def count_duplicates(batches: Sequence[NDArray[np.float64]]) -> int:
-    """Count the points whose coordinates an earlier point has already.
-
-    Parameters
-    ----------
-    batches : sequence of (n, 3) float64 arrays
-
-    Returns
-    -------
-    int
-    """
-    # Adding zero makes one of the two zeros, which are equal and differ in their bits.
-    points = np.concatenate([*batches, np.empty((0, 3))]) + 0.0
-    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0]))
-    points = points[order]
-    return int(np.count_nonzero((points[1:] == points[:-1]).all(axis=1)))
-
-
-def _symbols(collection: MapCollection) -> tuple[str, str, str]:
+def _units(collection: MapCollection) -> Units:
     said = [reader.description.units for reader in collection.readers]
-    units = next((each for each in said if each is not None), Units(None))
+    return next((each for each in said if each is not None), Units(None))
+
+
+def _symbols(units: Units) -> tuple[str, str, str]:
     across = units.horizontal.symbol if units.horizontal else "m"
     return across, across, units.vertical.symbol if units.vertical else across
 

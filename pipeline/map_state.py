@@ -1,17 +1,24 @@
 """Whether a map is still the one that a run began with.
 
-Its bytes are hashed once; after that, size, time and inode tell whether a file was touched.
+Its bytes are hashed once; after that, size, times and inode tell whether a file was touched. Size
+and time of the last change can be put back by whoever rewrites a file; the time at which the inode
+changed cannot. It moves when a file is linked or its permissions change, too: that is taken for a
+change as well, and costs work, never a wrong result.
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from os import stat_result
 from pathlib import Path
 
 from pipeline.errors import InputChangedError
 from tiling.errors import MapFormatError
 
-MapState = tuple[tuple[int, int, int], ...]
-"""Of each file: bytes, nanoseconds of the last change, inode."""
+FileState = tuple[int, int, int, int]
+"""Bytes, nanoseconds of the last change of content and of inode, inode."""
+
+MapState = tuple[FileState, ...]
+"""Of each file."""
 
 
 def map_state(paths: Sequence[Path]) -> MapState:
@@ -28,7 +35,7 @@ def map_state(paths: Sequence[Path]) -> MapState:
             status = path.stat()
         except OSError as error:
             raise _unreadable(path, error) from error
-        states.append((status.st_size, status.st_mtime_ns, status.st_ino))
+        states.append(_state_of(status))
     return tuple(states)
 
 
@@ -45,6 +52,10 @@ def check_map(paths: Sequence[Path], state: MapState) -> None:
     for path, now, before in zip(paths, map_state(paths), state, strict=True):
         if now != before:
             raise InputChangedError(f"{path}: the map changed while it was being cleaned")
+
+
+def _state_of(status: stat_result) -> FileState:
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import Literal
 
 from pipeline.errors import OutputError
 from pipeline.folder_lock import give_lock, take_lock
+from pipeline.renaming import renaming_all
 from tiling.formats import MapReader
 
 RUN_FILE = "run.json"
@@ -23,6 +24,9 @@ CONFIGURATION_FILE = "config.yaml"
 LABELS_FILE = "labels.parquet"
 REPORT_FILE = "report.html"
 STAGING = ".dynahull-partial"
+
+_ASIDE = "earlier"
+"""Within it: results of an earlier run, until all of this one's are in their place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,19 +179,25 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 
 def _publish(staging: Path, folder: Path) -> None:
-    """Rename all files into place, `run.json` last."""
+    """Rename all files into place, `run.json` last; none, where one cannot be renamed."""
     files = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
     files.sort(key=lambda name: name == Path(RUN_FILE))
     for name in files:
         _flush(staging / name)
-    _remove_earlier_results(folder)
-    (folder / RUN_FILE).unlink(missing_ok=True)
-    _flush(folder)
-    for name in files:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (staging / name).replace(folder / name)
-    for name in {(folder / name).parent for name in files}:
-        _flush(name)
+    earlier = [name for name in _earlier_results(folder) if (folder / name).is_file()]
+    earlier.sort(key=lambda name: name != Path(RUN_FILE))
+    with renaming_all() as rename:
+        for name in earlier:
+            rename(folder / name, staging / _ASIDE / name)
+        (folder / RUN_FILE).unlink(missing_ok=True)
+        _flush(folder)
+        for name in files:
+            rename(staging / name, folder / name)
+        for parent in {(folder / name).parent for name in files}:
+            _flush(parent)
+    for parent in {(folder / name).parent for name in earlier} - {folder}:
+        if not any(parent.iterdir()):
+            parent.rmdir()
 
 
 def _earlier_results(folder: Path) -> list[Path]:
@@ -200,17 +210,6 @@ def _earlier_results(folder: Path) -> list[Path]:
     except (OSError, ValueError, AttributeError, TypeError):
         return []
     return [name for name in names if not name.is_absolute() and ".." not in name.parts]
-
-
-def _remove_earlier_results(folder: Path) -> None:
-    """Remove what the last complete run left here, and no other file."""
-    names = _earlier_results(folder)
-    for name in names:
-        if (folder / name).is_file():
-            (folder / name).unlink()
-    for parent in {name.parent for name in names} - {Path()}:
-        if (folder / parent).is_dir() and not any((folder / parent).iterdir()):
-            (folder / parent).rmdir()
 
 
 def _flush(path: Path) -> None:

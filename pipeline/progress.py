@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import Protocol
 
+from tiling.foreign_text import LONGEST_LINE, printable
+
 logger = logging.getLogger("dynahull")
 
 _LINE_EVERY = 10.0
@@ -60,8 +62,9 @@ class StageObserver:
 
     def warn(self, message: str) -> None:
         """Keep a warning and log it."""
+        message = printable(message, LONGEST_LINE)
         self.warnings.append(message)
-        logger.warning(message)
+        logger.warning("%s", message)
 
     def finish(self) -> None:
         """End the present stage, if there is one."""

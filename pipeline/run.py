@@ -116,7 +116,7 @@ def run(
             from pipeline.in_tiles import clean_in_tiles  # noqa: PLC0415
             from pipeline.tiles.opening import open_job  # noqa: PLC0415
 
-            job = open_job(work, paths, state, digest, configuration, fresh, observer)
+            job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
             cleaned = clean_in_tiles(job, collection, names, staging, observer, fit)
         if configuration.output.labels:
             from pipeline.labels_table import write_labels  # noqa: PLC0415
@@ -139,8 +139,16 @@ def run(
             report = _write_page(staging, report, cleaned.views, cleaned.tiles, observer)
         (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     if not configuration.output.keep_work:
-        remove_work(work)
+        _give_up_work(work, observer)
     return report
+
+
+def _give_up_work(work: Path, observer: StageObserver) -> None:
+    """Remove work of which the results are there: whatever happens, the run has succeeded."""
+    try:
+        remove_work(work)
+    except OSError as error:
+        observer.warn(f"{work}: cannot be removed: {error.strerror or error}")
 
 
 def _write_page(

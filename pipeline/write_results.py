@@ -80,7 +80,7 @@ def write_maps(
             for grown, place in zip(growing[index], outputs[index], strict=True):
                 grown.replace(place)
     ahead = executor is not None and executor.workers > 1
-    streams = [index for index in range(len(outputs)) if index not in set(in_parts)]
+    streams = sorted(set(range(len(outputs))) - set(in_parts))
     first_rows = [*collection.first_rows, collection.point_count]
     observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
     for index in streams:

@@ -3,9 +3,12 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedWriter
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 from uuid import uuid4
+
+from tiling.ledger import NotedFile, note_file
 
 TEMPORARY = ".part"
 """Suffix of a file that is being written; one that is left over belongs to a killed process."""
@@ -32,6 +35,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         _flush(temporary)
+        note_file(path, temporary)
         temporary.replace(path)
         _flush(path.parent)
     finally:
@@ -54,4 +58,19 @@ def write_only(path: Path) -> BinaryIO:
     read as well it reads, and later writes back, whole pages, and so undoes what other machines
     wrote there.
     """
-    return os.fdopen(os.open(path, os.O_WRONLY), "wb")
+    return cast(BinaryIO, BufferedWriter(NotedFile(path, "wb", opener=_as_it_is)))
+
+
+def _as_it_is(path: str, flags: int) -> int:
+    return os.open(path, flags & ~(os.O_CREAT | os.O_TRUNC))
+
+
+def new_file(path: Path) -> BinaryIO:
+    """Make an empty file to write to, in the place of an earlier one."""
+    return cast(BinaryIO, BufferedWriter(NotedFile(path, "wb")))
+
+
+def make_sized(path: Path, size: int) -> None:
+    """Make a file of some size, or give an earlier one that size; what is missing is zero."""
+    with path.open("ab") as file:
+        file.truncate(size)

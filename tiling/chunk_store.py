@@ -95,10 +95,14 @@ class ChunkStore:
         if self.format != "parquet" and self.grid is None:
             raise ValueError(f"chunks of format {self.format} need a grid")
 
+    def make(self) -> None:
+        """Make the folders for pieces and chunks."""
+        for name in ("pieces", "chunks"):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+
     def save(self) -> None:
-        """Make the folder, and write into it what `open` reads."""
-        (self.folder / "pieces").mkdir(parents=True, exist_ok=True)
-        (self.folder / "chunks").mkdir(exist_ok=True)
+        """Make the folders, and write what `open` reads."""
+        self.make()
         with atomic_file(self.folder / _STORE_FILE) as temporary:
             temporary.write_text(self._description, encoding="utf-8")
 

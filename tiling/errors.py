@@ -3,13 +3,24 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tiling.foreign_text import LONGEST_MESSAGE, printable, printable_path
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 
 class TilingError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of every error that this package raises on purpose.
+
+    Parameters
+    ----------
+    message : str
+        Made one printable line, and cut where it is too long: it may quote what a file holds.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message, LONGEST_MESSAGE))
 
 
 class MapFormatError(TilingError):
@@ -33,9 +44,8 @@ class MapFormatError(TilingError):
         self.found = found
         self.at = at
         place = f" at {at}" if at else ""
-        # A header may hold anything at all: the message stays one line and printable.
-        message = f"{path}: expected {expected}, found {found}{place}"
-        super().__init__("".join(c if c.isprintable() else "?" for c in message))
+        expected, found = printable(expected), printable(found)
+        super().__init__(f"{printable_path(path)}: expected {expected}, found {found}{place}")
 
 
 class UnknownFormatError(MapFormatError):
@@ -64,7 +74,8 @@ class PartsError(TilingError):
     def __init__(self, path: Path, format: str) -> None:
         self.path = path
         self.format = format
-        super().__init__(f"{path}: expected a map with records of one size, found {format}")
+        name = printable_path(path)
+        super().__init__(f"{name}: expected a map with records of one size, found {format}")
 
 
 class RowRangeError(TilingError):
@@ -83,8 +94,8 @@ class RowRangeError(TilingError):
     def __init__(self, name: str, rows: range, point_count: int) -> None:
         self.rows = rows
         self.point_count = point_count
-        message = f"{name}: expected consecutive rows from 0 to {point_count}, found {rows}"
-        super().__init__("".join(c if c.isprintable() else "?" for c in message))
+        expected = f"expected consecutive rows from 0 to {point_count}"
+        super().__init__(f"{printable_path(name)}: {expected}, found {rows}")
 
 
 class NoMapError(TilingError):
@@ -101,8 +112,8 @@ class NoMapError(TilingError):
     def __init__(self, argument: str, found: str) -> None:
         self.argument = argument
         self.found = found
-        message = f"{argument}: expected a map, a folder of maps or a pattern, found {found}"
-        super().__init__("".join(c if c.isprintable() else "?" for c in message))
+        expected = "expected a map, a folder of maps or a pattern"
+        super().__init__(f"{printable_path(argument)}: {expected}, found {printable(found)}")
 
 
 class ChunkError(MapFormatError):
@@ -124,6 +135,6 @@ class GridError(TilingError):
         self.xyz = xyz
         point = ", ".join(repr(value) for value in xyz.tolist())
         super().__init__(
-            f"{name}: expected coordinates that LAS gives back as integer * scale + offset, found "
-            f"a point that it does not ({point}); use Parquet chunks instead"
+            f"{printable_path(name)}: expected coordinates that LAS gives back as integer * scale "
+            f"+ offset, found a point that it does not ({point}); use Parquet chunks instead"
         )

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.atomic import write_only
+from tiling.atomic import make_sized, write_only
 from tiling.errors import ChunkError
 from tiling.formats.base import PointBatch
 from tiling.formats.collection import MapCollection
@@ -62,9 +62,8 @@ class KeptPoints:
         return self._starts[-1]
 
     def make(self) -> None:
-        """Make the file, of its full size: several processes fill it in."""
-        with self.path.open("wb") as stream:
-            stream.truncate(self.size)
+        """Make the file, of its full size: several processes fill it in. What is there stays."""
+        make_sized(self.path, self.size)
 
     def keep(self, batches: Iterator[tuple[int, PointBatch]]) -> Iterator[PointBatch]:
         """Write points as they pass; they are on the disk at the end.
@@ -99,7 +98,8 @@ class KeptPoints:
             When the file is not there, or not of its size.
         """
         with self._opened(lambda path: path.open("rb")) as stream:
-            for file, (first_row, dtype) in enumerate(self._files):
+            for file in self.collection.files_of(rows):
+                first_row, dtype = self._files[file]
                 start = max(rows.start, first_row)
                 stop = min(rows.stop, self._ends[file])
                 most = max(1, min(max_points, _LARGEST_BATCH // dtype.itemsize))

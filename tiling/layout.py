@@ -77,6 +77,22 @@ class Layout:
     ends: Columns
     counts: NDArray[np.int64]
 
+    def typical_place(self) -> NDArray[np.float64]:
+        """Return the median distance of tiles from the origin along x and y, (3,), weighted.
+
+        A tile counts as often as it has points. It has no place along z, which is 0.
+        """
+        place = np.zeros(3)
+        if not len(self):
+            return place
+        middles = np.abs(self.begins + self.ends) * (self.cell / 2)
+        for axis in range(2):
+            order = np.argsort(middles[:, axis])
+            below = np.cumsum(self.counts[order])
+            half = int(np.searchsorted(below, below[-1] / 2))
+            place[axis] = middles[order[half], axis]
+        return place
+
     def __len__(self) -> int:
         return len(self.counts)
 

@@ -114,7 +114,7 @@ def read_tile(store: ChunkStore, tile: int) -> Chunk:
     core = marked >= 0
     core_count = int(store.layout.counts[tile])
     if int(core.sum()) != core_count:
-        found_count = f"{int(core.sum())}: the map is not the one that was surveyed"
+        found_count = f"{int(core.sum())}: damaged pieces, or those of another map"
         expected = f"{core_count} points in the core of tile {tile}"
         raise ChunkError(store.folder / "pieces", expected, found_count)
     return Chunk(np.ascontiguousarray(points[:, :3]), np.where(core, marked, ~marked), core)

@@ -3,9 +3,11 @@
 A robot with a 16-ring LiDAR drives through a building or a street where people walk, stop and
 queue, and machines drive. `simulate` gathers its scans into one map, as SLAM would;
 `simulate_scans` yields them one by one; `write_simulation` puts everything on disk as a stream.
+`pipeline.simulation.meshes` has scenes of triangle meshes, other sensors and other ways to map.
 """
 
 from pipeline.simulation.campus import SimulatedMap, simulate, simulate_scans
+from pipeline.simulation.choice import load_simulation
 from pipeline.simulation.output import SimulationFiles, write_simulation
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.scene import SceneKind
@@ -21,6 +23,7 @@ __all__ = [
     "SimulationParameters",
     "Surface",
     "build_scene",
+    "load_simulation",
     "simulate",
     "simulate_scans",
     "write_simulation",

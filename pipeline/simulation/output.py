@@ -6,10 +6,15 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation.campus import simulate_scans
+from pipeline.simulation.meshes.parameters import MeshParameters
+from pipeline.simulation.meshes.points import Points
+from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.products import (
     PointCloudFile,
@@ -18,6 +23,7 @@ from pipeline.simulation.products import (
     point_records,
     write_point_cloud,
 )
+from pipeline.simulation.simulate import Returns, SimulatedScan
 
 _STAGING = ".simulation-partial"
 
@@ -31,7 +37,8 @@ class SimulationFiles:
     map : Path
         The map with its ghosts: binary PCD of x, y, z, intensity, time and scan.
     truth : Path
-        Parquet, one row a point in the map's order: `moving` (bool), `surface` (dictionary).
+        Parquet, one row a point in the map's order: `moving` (bool), `surface` (dictionary), and
+        of scenes of meshes `known` (bool): whether `moving` can be told.
     poses, true_poses : Path
         Estimated and true poses, one scan a line: the 3x4 matrix from sensor to map, row by row
         (KITTI).
@@ -81,7 +88,7 @@ class SimulationFiles:
 
 
 def write_simulation(
-    parameters: SimulationParameters,
+    parameters: SimulationParameters | MeshParameters,
     folder: Path,
     *,
     map_only: bool = False,
@@ -89,9 +96,11 @@ def write_simulation(
 ) -> SimulationFiles:
     """Simulate, and write into a folder as a stream, in memory that does not grow with the map.
 
+    The map of a scene of meshes is held in memory if it has a voxel filter.
+
     Parameters
     ----------
-    parameters : SimulationParameters
+    parameters : SimulationParameters or MeshParameters
     folder : Path
         Made if need be. What an earlier simulation left in it is replaced.
     map_only : bool, optional
@@ -110,6 +119,8 @@ def write_simulation(
         When the folder cannot be made or written.
     ConfigurationError
         When the parameters leave the sensor nothing to see.
+    MissingPackageError
+        When a scene of meshes is wanted, and Open3D is not installed.
     """
     folder = Path(folder)
     try:
@@ -128,33 +139,75 @@ def write_simulation(
     return SimulationFiles.in_folder(folder)
 
 
+def _scans(
+    parameters: SimulationParameters | MeshParameters, static: bool
+) -> Iterator[SimulatedScan]:
+    if isinstance(parameters, MeshParameters):
+        return mesh_scans(parameters, static=static)
+    return simulate_scans(parameters)
+
+
+class _Map:
+    """A map and its truth: written as a stream, or at the end through the map's voxel filter."""
+
+    def __init__(
+        self, parameters: SimulationParameters | MeshParameters, cloud: PointCloudFile,
+        truth: TruthFile | None,
+    ) -> None:  # fmt: skip
+        self._voxel = parameters.voxel if isinstance(parameters, MeshParameters) else 0.0
+        self._cloud = cloud
+        self._truth = truth
+        self._waiting: list[Points] = []
+
+    def append(self, returns: Returns, number: int) -> None:
+        """Append the points of a scan."""
+        if self._voxel:
+            self._waiting.append(Points.of_scan(returns, number))
+        else:
+            self._write(returns, number)
+
+    def finish(self) -> None:
+        """Filter what waits, and write it."""
+        if self._waiting:
+            points = Points.joined(self._waiting).filtered(self._voxel)
+            self._write(points.returns(), points.scan)
+
+    def _write(self, returns: Returns, scan: int | NDArray[np.int32]) -> None:
+        self._cloud.append(point_records(returns.xyz, returns, scan))
+        if self._truth is not None:
+            self._truth.append(returns)
+
+
 def _write_drive(
-    parameters: SimulationParameters,
+    parameters: SimulationParameters | MeshParameters,
     files: SimulationFiles,
     map_only: bool,
     advance: Callable[[int], None],
 ) -> None:
     """Write all that comes from the drive itself."""
+    known = isinstance(parameters, MeshParameters)
     with ExitStack() as stack:
         cloud = stack.enter_context(PointCloudFile(files.map))
-        truth = stack.enter_context(TruthFile(files.truth))
+        truth = stack.enter_context(TruthFile(files.truth, known=known))
         poses = stack.enter_context(PoseFiles(files.poses, files.true_poses, files.times))
-        static = None if map_only else stack.enter_context(PointCloudFile(files.static_truth))
+        maps = [_Map(parameters, cloud, truth)]
         if not map_only:
             files.scans.mkdir()
+            static = stack.enter_context(PointCloudFile(files.static_truth))
+            maps.append(_Map(parameters, static, None))
         count = 0
-        for scan in simulate_scans(parameters):
+        for scan in _scans(parameters, static=not map_only):
             returns = scan.returns
             count += len(returns)
-            cloud.append(point_records(returns.xyz, returns, scan.number))
-            truth.append(returns)
+            for kept, seen in zip(maps, (returns, scan.static_returns), strict=False):
+                kept.append(seen, scan.number)
             poses.append(scan)
-            if static is not None:
-                seen = scan.static_returns
-                static.append(point_records(seen.xyz, seen, scan.number))
+            if not map_only:
                 own = point_records(scan.in_sensor_frame(), returns, scan.number)
                 write_point_cloud(files.scans / f"{scan.number:06d}.pcd", own)
             advance(len(returns))
+        for kept in maps:
+            kept.finish()
         if not count:
             raise ConfigurationError(
                 "simulate: expected something within the sensor's range, found nothing from "
@@ -162,11 +215,16 @@ def _write_drive(
             )
 
 
-def _write_low_activity(parameters: SimulationParameters, files: SimulationFiles) -> None:
+def _write_low_activity(
+    parameters: SimulationParameters | MeshParameters, files: SimulationFiles
+) -> None:
     """Write the map of a drive while hardly anybody is there."""
+    quiet = parameters.low_activity()
     with PointCloudFile(files.low_activity) as cloud:
-        for scan in simulate_scans(parameters.low_activity()):
-            cloud.append(point_records(scan.returns.xyz, scan.returns, scan.number))
+        kept = _Map(quiet, cloud, None)
+        for scan in _scans(quiet, static=False):
+            kept.append(scan.returns, scan.number)
+        kept.finish()
 
 
 @contextmanager

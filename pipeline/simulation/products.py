@@ -33,7 +33,9 @@ POINTS_IN_MEMORY = 250_000
 _HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be written at the end
 
 
-def point_records(xyz: NDArray[np.float64], returns: Returns, scan: int) -> NDArray[np.void]:
+def point_records(
+    xyz: NDArray[np.float64], returns: Returns, scan: int | NDArray[np.int32]
+) -> NDArray[np.void]:
     """Return points as files hold them."""
     records = np.empty(len(xyz), dtype=POINT)
     records["x"], records["y"], records["z"] = xyz.T
@@ -88,15 +90,22 @@ def write_point_cloud(path: Path, records: NDArray[np.void]) -> None:
 
 
 class TruthFile:
-    """Parquet, one row a point: `moving` (bool) and `surface` (dictionary), written as a stream."""
+    """Parquet, one row a point: `moving` (bool) and `surface` (dictionary), written as a stream.
+
+    Parameters
+    ----------
+    path : Path
+    known : bool, optional
+        Write `known` (bool), too: whether `moving` can be told.
+    """
 
     _TITLES = pa.array([surface.title for surface in Surface])
-    _SCHEMA = pa.schema(
-        [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
-    )
 
-    def __init__(self, path: Path) -> None:
-        self._writer = pq.ParquetWriter(path, self._SCHEMA)
+    def __init__(self, path: Path, *, known: bool = False) -> None:
+        columns = [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
+        self._schema = pa.schema([*columns, ("known", pa.bool_())] if known else columns)
+        self._known = known
+        self._writer = pq.ParquetWriter(path, self._schema)
         self._waiting: list[Returns] = []
         self._waiting_points = 0
 
@@ -115,7 +124,9 @@ class TruthFile:
             pa.array(np.concatenate([returns.moving for returns in self._waiting])),
             pa.DictionaryArray.from_arrays(pa.array(surface), self._TITLES),
         ]
-        self._writer.write_table(pa.Table.from_arrays(columns, schema=self._SCHEMA))
+        if self._known:
+            columns.append(pa.array(np.concatenate([part.known for part in self._waiting])))
+        self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema))
         self._waiting, self._waiting_points = [], 0
 
     def __enter__(self) -> Self:

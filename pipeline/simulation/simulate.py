@@ -53,6 +53,8 @@ class Returns:
         `Surface` each point lies on.
     moving : (n,) bool array
         Whether each point lies on something that moves: a ghost.
+    known : (n,) bool array, optional
+        Whether that can be told honestly, of scenes where it cannot always be.
     """
 
     xyz: NDArray[np.float64]
@@ -60,6 +62,7 @@ class Returns:
     time: NDArray[np.float64]
     surface: NDArray[np.uint8]
     moving: NDArray[np.bool_]
+    known: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.surface)
@@ -72,6 +75,7 @@ class Returns:
             self.time[:count],
             self.surface[:count],
             self.moving[:count],
+            None if self.known is None else self.known[:count],
         )
 
 

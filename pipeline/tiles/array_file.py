@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import WorkError
+from pipeline.tiles.sealed import GO_ON
 
 _ALIGNMENT = 64
 """Bytes: each array begins at a multiple."""
@@ -54,7 +55,7 @@ def read_arrays(path: Path, *names: str) -> list[NDArray[Any]]:
         places = _places(path, stream, names)
         try:
             return [_read(stream, *place) for place in places]
-        except ValueError:
+        except (ValueError, OverflowError):
             raise _damaged(path, names) from None
 
 
@@ -93,7 +94,7 @@ def _places(path: Path, stream: BinaryIO, names: Sequence[str]) -> list[_Place]:
 
 def _damaged(path: Path, names: Sequence[str]) -> WorkError:
     wanted = ", ".join(names)
-    return WorkError(f"{path}: expected the arrays {wanted}, found a damaged file; give --fresh")
+    return WorkError(f"{path}: expected the arrays {wanted}, found a damaged file; {GO_ON}")
 
 
 def _read(stream: BinaryIO, start: int, kind: np.dtype[Any], shape: list[int]) -> NDArray[Any]:

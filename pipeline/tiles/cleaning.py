@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.algorithm import warn_of_clusters
-from dynahull.clustering import sample_rows
+from dynahull.clustering import Clusters, sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
@@ -20,11 +20,12 @@ from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.selection import Cut, find_cuts
 from pipeline.taking_part import survey_of_others
-from pipeline.tiles.cutting import make_copies
+from pipeline.tiles.array_file import write_arrays
+from pipeline.tiles.cutting import make_copies, needs_pieces
 from pipeline.tiles.execution import Executor
 from pipeline.tiles.fitting import Fit, import_meanwhile
 from pipeline.tiles.ground import SAMPLE_NAMES
-from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, Job
+from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
 from pipeline.tiles.labelling import save_cuts
 from pipeline.tiles.row_results import RowResults
 from pipeline.tiles.scores import KeptScores
@@ -36,6 +37,8 @@ from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
 from tiling.errors import GridError
 from tiling.grid import grid_of
+from tiling.ledger import noting
+from tiling.resolution import coarse_step_notes
 from tiling.survey import Survey, merge
 
 _SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
@@ -79,7 +82,10 @@ def clean_tiles(
     """
     import_meanwhile(fit)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
-    cut_into_pieces(job, executor, observer)
+    place = job.store.layout.typical_place()
+    for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
+        observer.warn(note)
+    cut_into_pieces(job, executor, observer, "ground")
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "ground", tiles))
     with ThreadPoolExecutor(1) as thread:
@@ -103,33 +109,39 @@ def plan_tiles(
     compression: ChunkCompression,
 ) -> None:
     """Survey the map, and plan its tiles."""
-    make_copies(job)
     rows = [len(part) for part in job.row_ranges]
+    if any(job.work.report("survey", number) is None for number in range(len(rows))):
+        make_copies(job)
     reports = do_stage(job, executor, observer, "survey", rows)
-    if (job.root / CHUNKS_FOLDER / "store.json").exists():
+    if job.work.has_done(PLANNING):
         exhaust(reports)
+        job.store.make()
         warn_of_set_aside(job, observer)
         return
-    try:
-        survey = _whole_survey(job, reports)
-        warn_of_set_aside(job, observer)
-        plan = make_plan(job.collection, survey, job.configuration, executor.workers)
-        check(plan)
-    except (PlanError, GridError):
-        # Refused: there is nothing to go on with.
-        remove_work(job.root)
-        raise
-    overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
-    if overfull:
-        observer.warn(
-            f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
-            f"{plan.layout.cell:g} m wide, is not divided"
-        )
-    _store(job, plan, survey, compression).save()
+    with noting() as written:
+        try:
+            survey = _whole_survey(job, reports)
+            warn_of_set_aside(job, observer)
+            plan = make_plan(job.collection, survey, job.configuration, executor.workers)
+            check(plan)
+        except (PlanError, GridError):
+            # Refused: there is nothing to go on with.
+            remove_work(job.root)
+            raise
+        overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
+        if overfull:
+            observer.warn(
+                f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
+                f"{plan.layout.cell:g} m wide, is not divided"
+            )
+        _store(job, plan, survey, compression).save()
+    job.work.finish_step(PLANNING, written)
 
 
-def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver) -> None:
-    """Sort the points of a map whose tiles are planned by tile."""
+def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver, stage: str) -> None:
+    """Sort the points of a map whose tiles are planned by tile, for a stage that gathers them."""
+    if not needs_pieces(job, stage):
+        return
     rows = [len(part) for part in job.cut_ranges]
     exhaust(do_stage(job, executor, observer, "cut", rows))
     if job.decoded is not None and not job.decoded.has_records:
@@ -150,8 +162,25 @@ def remove_pieces(job: Job) -> None:
 
 def find_clusters(job: Job, observer: StageObserver, fit: Fit) -> None:
     """Fit the model of the map on the sample gathered from all tiles."""
-    if job.configuration.clustering.scope == "tile" or (job.root / CLUSTERS_FILE).exists():
+    if job.configuration.clustering.scope == "tile" or job.work.has_done(FITTING):
         return
+    centroids = _scored_by(job)
+    if centroids is None:
+        centroids = _fitted(job, observer, fit).centroids
+    with noting() as written, atomic_file(job.root / CLUSTERS_FILE) as temporary:
+        write_arrays(temporary, {"centroids": centroids})
+    job.work.finish_step(FITTING, written)
+
+
+def _scored_by(job: Job) -> NDArray[np.float64] | None:
+    """Return the model that tiles were scored by, if any was: another machine may fit another."""
+    for tile in range(len(job.store.layout)):
+        if job.work.report("density", tile) is not None:
+            return job.work.load("density", tile, "centroids")[0]
+    return None
+
+
+def _fitted(job: Job, observer: StageObserver, fit: Fit) -> Clusters:
     parameters = job.configuration.clustering
     tiles = range(len(job.store.layout))
     observer.stage("clustering", len(tiles))
@@ -163,9 +192,7 @@ def find_clusters(job: Job, observer: StageObserver, fit: Fit) -> None:
         chosen = sample_rows(rows, job.finite_count, parameters)
         xyz, rows = xyz[chosen], rows[chosen]
         observer.advance(1)
-    clusters = fit(xyz, parameters)
-    with atomic_file(job.root / CLUSTERS_FILE) as temporary, temporary.open("wb") as stream:
-        np.save(stream, clusters.centroids)
+    return fit(xyz, parameters)
 
 
 def _whole_survey(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Survey:

@@ -3,28 +3,32 @@
 from collections.abc import Iterator
 from functools import partial
 
-import numpy as np
-
 from pipeline.taking_part import Watcher
 from pipeline.tiles.job import Job
-from pipeline.tiles.rows import make_rows, write_rows
+from pipeline.tiles.rows import write_rows
 from pipeline.tiles.taking_part import PointsTakingPart, make_left_out, note_left_out
 from pipeline.tiles.work import TaskReport
-from tiling.chunks import assemble
+from tiling.atomic import make_sized
+from tiling.chunks import assemble, has_chunk
 from tiling.formats.base import PointBatch
 from tiling.pieces import write_pieces
 from tiling.survey import survey_batches
 
 
 def make_copies(job: Job) -> None:
-    """Make the files for what the survey keeps of the map, unless it has begun."""
-    if (job.root / "survey").exists():
-        return
+    """Make the files for what the survey keeps of the map; what is there of them stays."""
     if job.needs_classes:
-        make_rows(job.rows_path("class"), job.collection.point_count, np.uint8, 0)
+        make_sized(job.rows_path("class"), job.collection.point_count)
     make_left_out(job)
     if job.decoded is not None:
         job.decoded.make()
+
+
+def needs_pieces(job: Job, stage: str) -> bool:
+    """Tell whether a stage that gathers chunks from the pieces has any to gather yet."""
+    tiles = range(len(job.store.layout))
+    undone = any(job.work.report(stage, tile) is None for tile in tiles)
+    return undone and not all(has_chunk(job.store, tile) for tile in tiles)
 
 
 def survey_rows(job: Job, number: int) -> TaskReport:

@@ -20,6 +20,7 @@ from pipeline.tiles.work import TaskReport
 from tiling.chunk_store import Chunk, joined
 from tiling.chunks import assemble, has_chunk, read_chunk, read_cores
 from tiling.layout import Layout
+from tiling.ledger import note_file
 
 LABEL_NAMES = ("core_rows", "core_labels")
 OWN_ROWS = "own_rows"
@@ -108,7 +109,11 @@ def region_of(job: Job, tile: int) -> Region:
 def _surroundings(job: Job, tile: int) -> Chunk:
     """Return all points that decide which points of a tile's region are free of the ground."""
     store = job.store
-    chunk = read_chunk(store, tile) if has_chunk(store, tile) else assemble(store, tile)
+    if has_chunk(store, tile):
+        chunk = read_chunk(store, tile)
+        note_file(store.chunk_path(tile))  # what this task leaves, as if it had made it
+    else:
+        chunk = assemble(store, tile)
     if store.halo >= job.decision_radius:
         return chunk
     # The halo is too narrow: the rest comes from the tiles around.

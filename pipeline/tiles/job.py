@@ -3,17 +3,16 @@
 It is kept in the work folder, so that a task needs no more than the folder's name and its number.
 """
 
-import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-
-import numpy as np
 
 from dynahull.clustering import Clusters
 from pipeline.configuration import Configuration
 from pipeline.map_state import MapState
 from pipeline.plan import decision_radius
+from pipeline.tiles.array_file import read_arrays
+from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.tiles.work import WorkFolder
 from pipeline.units import open_collection
 from tiling.chunk_store import ChunkStore
@@ -21,9 +20,12 @@ from tiling.formats.collection import MapCollection
 from tiling.kept_points import KeptPoints
 
 JOB_FILE = "job.json"
-CLUSTERS_FILE = "clusters.npy"
+CLUSTERS_FILE = "clusters.arrays"
 CHUNKS_FOLDER = "tiles"
 DECODED_FILE = "map.decoded"
+
+PLANNING, FITTING, CREATING = "plan", "clustering", "outputs"
+"""Steps that are about the whole map and are not shared out: tiles, clusters, outputs in parts."""
 
 ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -60,7 +62,7 @@ class Job:
             "state": self.state,
             "configuration": self.configuration.model_dump(mode="json"),
         }
-        self.work.write_json(self.root / JOB_FILE, values)
+        write_sealed(self.root / JOB_FILE, values)
 
     @classmethod
     def open(cls, folder: str) -> "Job":
@@ -112,7 +114,7 @@ class Job:
     @cached_property
     def clusters(self) -> Clusters:
         """The model of the whole map; there once it is fitted."""
-        return Clusters(np.load(self.root / CLUSTERS_FILE))
+        return Clusters(*read_arrays(self.root / CLUSTERS_FILE, "centroids"))
 
     @property
     def needs_classes(self) -> bool:
@@ -130,13 +132,13 @@ class Job:
 
 
 @lru_cache(maxsize=2)
-def _opened(root: Path, changed: int) -> Job:
-    del changed
-    stored = json.loads((root / JOB_FILE).read_text(encoding="utf-8"))
+def _opened(root: Path, time: int) -> Job:
+    del time
+    stored = read_sealed(root / JOB_FILE)
     return Job(
         root,
         stored["key"],
         tuple(Path(path) for path in stored["paths"]),
-        tuple((size, time, inode) for size, time, inode in stored["state"]),
+        tuple((size, written, changed, inode) for size, written, changed, inode in stored["state"]),
         Configuration.model_validate(stored["configuration"]),
     )

@@ -1,6 +1,5 @@
 """The task that labels the points of one tile, once all tiles are scored."""
 
-import json
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
@@ -12,12 +11,14 @@ from dynahull.density import SMALLEST_CLUSTER
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.result import NO_CLUSTER
+from pipeline.errors import WorkError
 from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.ground import LABEL_NAMES
 from pipeline.tiles.job import Job
 from pipeline.tiles.sampling import shown_points
 from pipeline.tiles.scores import KeptScores, scored_points
 from pipeline.tiles.scoring import first_cluster
+from pipeline.tiles.sealed import GO_ON, read_sealed, write_sealed
 from pipeline.tiles.work import TaskReport
 
 CUTS_FILE = "cuts.json"
@@ -33,7 +34,7 @@ def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
         "counts": counts if cuts is not None else _extremes(job, counts),
         "cuts": None if cuts is None else [(cut.density, int(cut.last_row)) for cut in cuts],
     }
-    job.work.write_json(job.root / CUTS_FILE, values)
+    write_sealed(job.root / CUTS_FILE, values)
 
 
 def label_tile(job: Job, tile: int) -> TaskReport:
@@ -73,11 +74,13 @@ def label_tile(job: Job, tile: int) -> TaskReport:
 
 def _cuts_of(job: Job, tile: int) -> tuple[list[int], list[Cut]]:
     """Return N_i and the cut of every cluster that the tile's points may be in."""
-    stored = json.loads((job.root / CUTS_FILE).read_text(encoding="utf-8"))
+    stored = read_sealed(job.root / CUTS_FILE)
     if stored["cuts"] is not None:
         return stored["counts"], [Cut(density, row) for density, row in stored["cuts"]]
     report = job.work.report("density", tile)
-    counts = list(report.counts[1:]) if report else []
+    if report is None:
+        raise WorkError(f"{job.root}: expected the scores of tile {tile}, found none; {GO_ON}")
+    counts = list(report.counts[1:])
     percentages = tile_percentages(job, counts, stored["counts"])
     threshold = job.configuration.removal.threshold
     return counts, find_cuts([KeptScores(job, tile)], counts, percentages, threshold)

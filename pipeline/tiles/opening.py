@@ -7,10 +7,16 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.configuration import Configuration
+from pipeline.errors import WorkError
 from pipeline.map_state import MapState
 from pipeline.progress import StageObserver
 from pipeline.tiles.job import JOB_FILE, Job
+from pipeline.tiles.sealed import read_sealed
+from pipeline.tiles.verifying import verify_work
 from pipeline.tiles.work import remove_work
+
+_COMPUTING = ("dynahull-pipeline", "numpy", "scikit-learn", "numba")
+"""What other versions of might compute other bits."""
 
 
 def open_job(
@@ -21,6 +27,7 @@ def open_job(
     configuration: Configuration,
     fresh: bool,
     observer: StageObserver,
+    stage: str,
 ) -> Job:
     """Go on with the work of an earlier run of the same map and configuration, or begin anew.
 
@@ -38,30 +45,38 @@ def open_job(
     fresh : bool
         Begin anew in any case.
     observer : StageObserver
-        Told when work of another map or configuration is given up.
+        Told when work of another map or configuration is given up, or is damaged.
+    stage : str
+        That will gather the chunks of tiles: `ground` or `chunk`.
     """
     work = work.resolve()  # workers may have another current folder
     job = Job(work, job_key(digest, configuration), tuple(paths), state, configuration)
-    if work.exists():
-        try:
-            stored = json.loads((work / JOB_FILE).read_text(encoding="utf-8"))["key"]
-        except (OSError, ValueError, KeyError):
-            stored = None
-        if fresh or stored != job.key:
-            if not fresh:
-                observer.warn(
-                    f"{work}: holds the work of another map or configuration; starting over"
-                )
-            remove_work(work)
-    work.mkdir(exist_ok=True)
+    earlier = work.is_dir()
+    if fresh or not earlier or _is_of_another(work, job.key):
+        if earlier and not fresh:
+            observer.warn(
+                f"{work}: holds the work of another map or configuration, or of another version "
+                "or of its libraries; starting over"
+            )
+        remove_work(work)
+        work.mkdir()
     job.save()
+    verify_work(job, observer, stage)
     return job
 
 
+def _is_of_another(work: Path, key: str) -> bool:
+    """Tell whether work says that it is not of this run; each of its markers says so as well."""
+    try:
+        return bool(read_sealed(work / JOB_FILE)["key"] != key)
+    except WorkError:
+        return False
+
+
 def job_key(digest: str, configuration: Configuration) -> str:
-    """Return the hash of all that decides what tasks leave: map, configuration, version."""
+    """Return the hash of all that decides what tasks leave: map, configuration, versions."""
     decisive = configuration.model_dump(mode="json", exclude={"execution", "cluster"})
     output = configuration.output
     decisive["output"] = {"labels": output.needs_scores, "report": output.report}
-    text = json.dumps([version("dynahull-pipeline"), digest, decisive], sort_keys=True)
+    text = json.dumps([[*map(version, _COMPUTING)], digest, decisive], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -79,7 +79,7 @@ def tile_map(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
             digest = content_hash(paths)
-            job = open_job(work, paths, state, digest, configuration, False, observer)
+            job = open_job(work, paths, state, digest, configuration, False, observer, "chunk")
             with workers_for(job) as executor:
                 plan_tiles(
                     job,
@@ -88,7 +88,7 @@ def tile_map(
                     lambda plan: check_plan(plan, configuration, output),
                     "zstd",
                 )
-                cut_into_pieces(job, executor, observer)
+                cut_into_pieces(job, executor, observer, "chunk")
                 gather_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)

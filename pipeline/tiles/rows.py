@@ -13,10 +13,8 @@ _AT_A_TIME = 1 << 22
 
 
 def make_rows(path: Path, count: int, dtype: DTypeLike, value: float) -> None:
-    """Make the file with one value everywhere, unless it is there."""
+    """Make the file anew, with one value everywhere."""
     kind = np.dtype(dtype)
-    if path.exists() and path.stat().st_size == count * kind.itemsize:
-        return
     temporary = path.with_suffix(".part")
     block = np.full(min(count, _AT_A_TIME), value, kind)
     with temporary.open("wb") as stream:

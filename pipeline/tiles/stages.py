@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -17,8 +18,10 @@ from pipeline.tiles.ground import find_ground
 from pipeline.tiles.job import Job
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.scoring import score_tile
+from pipeline.tiles.sealed import write_sealed
 from pipeline.tiles.work import TaskReport
-from pipeline.tiles.writing import write_part
+from pipeline.tiles.writing import file_of_part, write_part
+from tiling.ledger import noting
 
 TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "survey": survey_rows,
@@ -54,16 +57,31 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     """
     job = Job.open(folder)
     begun = time.perf_counter()
-    if stage in READING:
-        check_map(job.paths, job.state)
-    report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
-    if stage in READING:
-        check_map(job.paths, job.state)
+    files = _files_read(job, stage, number)
+    _check_files(job, files)
+    with noting() as written:
+        report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
+    _check_files(job, files)
     report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
-    job.work.finish(stage, number, report)
+    job.work.finish(stage, number, report, written)
     if stage in DIVISIBLE:
         give_memory_back()
     return report
+
+
+def _files_read(job: Job, stage: str, number: int) -> range:
+    """Return the files of the map, by index, that a task reads: with many, few of them."""
+    if stage == "write":
+        file = file_of_part(job, number)
+        return range(file, file + 1)
+    if stage in READING:
+        rows = job.row_ranges[number] if stage == "survey" else job.cut_ranges[number]
+        return job.collection.files_of(rows)
+    return range(0)
+
+
+def _check_files(job: Job, files: range) -> None:
+    check_map(job.paths[files.start : files.stop], job.state[files.start : files.stop])
 
 
 def do_stage(
@@ -199,6 +217,6 @@ class _State:
         now = self._written = time.time()
         elapsed = max(now - self._begun, 1e-3)
         rate = (self._values["done_points"] - self._earlier) / elapsed
-        self._job.work.write_json(
-            self._job.work.state_path, {**self._values, "updated": now, "rate": rate}
-        )
+        values = {**self._values, "updated": now, "rate": rate}
+        with suppress(OSError):  # the work itself does not depend on it
+            write_sealed(self._job.work.state_path, values)

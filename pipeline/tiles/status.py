@@ -1,6 +1,5 @@
 """What a work folder tells: how far its run is, and whether it still goes on."""
 
-import json
 import os
 import shutil
 import time
@@ -11,6 +10,7 @@ from pipeline.cluster.record import CLUSTER_FOLDER, submitted_job
 from pipeline.errors import WorkError
 from pipeline.outputs import STAGING, folder_is_locked
 from pipeline.quantities import in_time
+from pipeline.tiles.sealed import read_sealed
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work, stages_begun
 
 
@@ -42,10 +42,9 @@ def status_text(folder: Path) -> str:
 
 def _state(work: Path) -> dict[str, Any] | None:
     try:
-        state = json.loads((work / "state.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_sealed(work / "state.json")
+    except WorkError:
         return None
-    return dict(state)
 
 
 def _present_stage(state: dict[str, Any]) -> list[str]:

@@ -4,7 +4,6 @@ Points that are marked in the map are in a file of one value a row; all else tha
 the whole map is a few numbers.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,7 +18,9 @@ from dynahull.progress import Observer
 from dynahull.strays import Strays, is_at_origin, warn_of_strays
 from pipeline.taking_part import hidden, may_leave_out, warn_of_left_out
 from pipeline.tiles.job import Job
-from pipeline.tiles.rows import make_rows, open_rows, write_rows
+from pipeline.tiles.rows import open_rows, write_rows
+from pipeline.tiles.sealed import read_sealed, write_sealed
+from tiling.atomic import make_sized
 from tiling.formats.base import PointBatch
 
 SET_ASIDE_FILE = "set_aside.json"
@@ -54,7 +55,7 @@ class SetAside:
 def make_left_out(job: Job) -> None:
     """Make the file of the points left out, if the map can have any."""
     if may_leave_out(job.collection, job.configuration.input):
-        make_rows(job.rows_path(_LEFT_OUT), job.collection.point_count, np.uint8, 0)
+        make_sized(job.rows_path(_LEFT_OUT), job.collection.point_count)
 
 
 def note_left_out(job: Job, first_row: int, out: NDArray[np.bool_]) -> None:
@@ -65,7 +66,7 @@ def note_left_out(job: Job, first_row: int, out: NDArray[np.bool_]) -> None:
 def save_set_aside(job: Job, strays: Strays, left_out: int) -> None:
     """Keep what all ranges of rows together say."""
     values = {"heap": strays.heap, "strays": strays.rows.tolist(), "left_out": left_out}
-    job.work.write_json(job.root / SET_ASIDE_FILE, values)
+    write_sealed(job.root / SET_ASIDE_FILE, values)
 
 
 def warn_of_set_aside(job: Job, observer: Observer) -> None:
@@ -83,7 +84,7 @@ def set_aside(job: Job) -> SetAside:
 
 @lru_cache(maxsize=1)
 def _read(path: Path, _changed: int) -> SetAside:
-    stored = json.loads(path.read_text(encoding="utf-8"))
+    stored = read_sealed(path)
     return SetAside(stored["heap"], np.array(stored["strays"], np.int64), stored["left_out"])
 
 

@@ -2,20 +2,24 @@
 
 A task writes its files under temporary names, flushes and renames them, and writes its marker last.
 A marker names the key of the run, a hash of input and configuration: work of another run is never
-taken for this one's. So a run killed at any moment goes on with the tasks that have no marker.
+taken for this one's. So a run killed at any moment goes on with the tasks that have no marker. It
+names all that the task wrote as well, each with a checksum: see `pipeline.tiles.verifying`.
 """
 
-import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from pipeline.errors import WorkError
 from pipeline.tiles.array_file import map_array, read_arrays, write_arrays
+from pipeline.tiles.sealed import read_sealed, write_sealed
 from tiling.atomic import atomic_file
+from tiling.ledger import Written
 
 WORK_FOLDER = ".dynahull-work"
 """Within the output folder."""
@@ -47,6 +51,21 @@ class TaskReport:
 
 
 @dataclass(frozen=True, slots=True)
+class Marker:
+    """What says that a task is finished.
+
+    Attributes
+    ----------
+    report : TaskReport
+    written : tuple of Written
+        All that the task wrote.
+    """
+
+    report: TaskReport
+    written: tuple[Written, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class WorkFolder:
     """Where the tasks of one run leave their files.
 
@@ -74,21 +93,59 @@ class WorkFolder:
         """Make the folder of a stage."""
         (self.root / stage).mkdir(parents=True, exist_ok=True)
 
+    def step_path(self, step: str) -> Path:
+        """Return the marker of a step that is about the whole map, and is not shared out."""
+        return self.root / f"{step}.done"
+
     def report(self, stage: str, task: int) -> TaskReport | None:
         """Return what a finished task reported, None if it is not finished."""
+        marker = self.marker(self.path(stage, task, ".done"))
+        return None if marker is None else marker.report
+
+    def has_done(self, step: str) -> bool:
+        """Tell whether a step that is about the whole map is done."""
+        return self.marker(self.step_path(step)) is not None
+
+    def marker(self, path: Path) -> Marker | None:
+        """Return what a marker of this run says; None where there is none that is whole."""
         try:
-            marker = json.loads(self.path(stage, task, ".done").read_text(encoding="utf-8"))
-            if marker["key"] != self.key:
+            stored = read_sealed(path)
+        except WorkError:
+            return None
+        try:
+            if stored["key"] != self.key:
                 return None
-            report = marker["report"]
-            return TaskReport(report["points"], tuple(report["counts"]), report["seconds"])
-        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            report = stored["report"]
+            return Marker(
+                TaskReport(report["points"], tuple(report["counts"]), report["seconds"]),
+                tuple(Written(self._within(name), *of_it) for name, *of_it in stored["written"]),
+            )
+        except (KeyError, TypeError, ValueError):
             return None
 
-    def finish(self, stage: str, task: int, report: TaskReport) -> None:
-        """Mark a task as finished; its files are complete."""
-        marker = {"key": self.key, "report": asdict(report)}
-        self.write_json(self.path(stage, task, ".done"), marker)
+    def _within(self, name: str) -> Path:
+        """Return a file of this folder; of no other, whatever a folder from elsewhere says."""
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise ValueError(f"expected a file of {self.root}, found {name}")
+        return self.root / name
+
+    def finish(
+        self, stage: str, task: int, report: TaskReport, written: Iterable[Written] = ()
+    ) -> None:
+        """Mark a task as finished; what it wrote is complete."""
+        self._mark(self.path(stage, task, ".done"), report, written)
+
+    def finish_step(self, step: str, written: Iterable[Written]) -> None:
+        """Mark a step as done that is about the whole map."""
+        self._mark(self.step_path(step), TaskReport(0), written)
+
+    def _mark(self, path: Path, report: TaskReport, written: Iterable[Written]) -> None:
+        named = [
+            (str(each.path.relative_to(self.root)), each.start, each.size, each.checksum)
+            for each in written
+        ]
+        values = {"key": self.key, "report": asdict(report), "written": named}
+        write_sealed(path, values)
 
     def save(self, stage: str, task: int, **arrays: NDArray[Any]) -> None:
         """Keep the arrays of a task."""
@@ -103,19 +160,24 @@ class WorkFolder:
         """Return an array of a finished task, of which only what is looked at is read."""
         return map_array(self.path(stage, task, _ARRAYS), name)
 
-    def write_json(self, path: Path, value: Any) -> None:
-        """Write a file that appears whole or not at all."""
-        with atomic_file(path) as temporary:
-            temporary.write_text(json.dumps(value), encoding="utf-8")
-
 
 def remove_work(work: Path) -> None:
     """Remove a work folder; one that is half removed is never taken for work again."""
     removed = work.with_name(REMOVED_FOLDER)
-    shutil.rmtree(removed, ignore_errors=True)
-    if work.exists():
+    with suppress(OSError):
+        remove(removed)
+    if work.is_symlink() or work.exists():
         work.rename(removed)
-        shutil.rmtree(removed, ignore_errors=True)
+        with suppress(OSError):
+            remove(removed)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with all that is in it, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def stages_begun(root: Path) -> Iterator[tuple[str, int, int]]:

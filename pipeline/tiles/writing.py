@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,13 @@ import numpy as np
 from pipeline.errors import LostPointsError
 from pipeline.output_modes import OutputMode, mode_of
 from pipeline.tiles.ahead import made_ahead
-from pipeline.tiles.job import Job
+from pipeline.tiles.job import CREATING, Job
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.work import TaskReport
 from tiling.atomic import atomic_file
 from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parts import PartSummary, PartWriter
+from tiling.ledger import note_end, noting
 
 BATCH = 500_000
 PARTS_FILE = "parts.pickle"
@@ -64,6 +66,11 @@ class OutputPlan:
     writers: dict[int, tuple[PartWriter, ...]]
     parts: tuple[OutputPart, ...]
     mode: str
+
+    @property
+    def paths(self) -> list[Path]:
+        """All outputs."""
+        return [writer.path for writers in self.writers.values() for writer in writers]
 
 
 def write_stream(
@@ -133,9 +140,10 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
     """
     mode_wanted = job.configuration.output.model_dump_json()
     earlier = _earlier_plan(job)
-    if earlier is not None and earlier.mode == mode_wanted:
+    wanted = [path.resolve() for file in files for path in outputs[file]]
+    if earlier is not None and earlier.mode == mode_wanted and earlier.paths == wanted:
         return earlier
-    _parts_path(job).unlink(missing_ok=True)
+    job.work.step_path(CREATING).unlink(missing_ok=True)
     shutil.rmtree(job.root / "write", ignore_errors=True)
     writers: dict[int, tuple[PartWriter, ...]] = {}
     parts = []
@@ -151,30 +159,30 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
             each.part_writer(path.resolve(), points)
             for each, path, points in zip(mode.formats, outputs[file], firsts, strict=True)
         )
-        for writer in writers[file]:
-            writer.path.parent.mkdir(parents=True, exist_ok=True)
-            writer.create()
     plan = OutputPlan(writers, tuple(parts), mode_wanted)
     job.work.make("write")
-    # Last, as a plan tells that its outputs were created.
-    with atomic_file(_parts_path(job)) as temporary:
-        temporary.write_bytes(pickle.dumps(plan))
+    with noting() as written:
+        for writer in (writer for of_file in writers.values() for writer in of_file):
+            writer.path.parent.mkdir(parents=True, exist_ok=True)
+            writer.create()
+            note_end(writer.path)
+        with atomic_file(_parts_path(job)) as temporary:
+            temporary.write_bytes(pickle.dumps(plan))
+    job.work.finish_step(CREATING, written)
     return plan
 
 
 def _earlier_plan(job: Job) -> OutputPlan | None:
     """Return the plan of a run that did not come to its end, if all its outputs are still there."""
-    try:
-        plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
-    except FileNotFoundError:
+    if not job.work.has_done(CREATING):
         return None
-    paths = [writer.path for writers in plan.writers.values() for writer in writers]
-    return plan if all(path.is_file() for path in paths) else None
+    plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
+    return plan if all(path.is_file() for path in plan.paths) else None
 
 
 def write_part(job: Job, number: int) -> TaskReport:
     """Write one part of the outputs, and keep its summaries."""
-    plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
+    plan = _plan(job)
     part = plan.parts[number]
     mode = mode_of_file(job, part.file)
     with ExitStack() as stack:
@@ -192,6 +200,24 @@ def write_part(job: Job, number: int) -> TaskReport:
     return TaskReport(len(part.rows))
 
 
+def file_of_part(job: Job, number: int) -> int:
+    """Return the file of the map that a part is read from."""
+    return _plan(job).parts[number].file
+
+
+def _plan(job: Job) -> OutputPlan:
+    path = _parts_path(job)
+    return _opened_plan(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=2)
+def _opened_plan(path: Path, changed: int) -> OutputPlan:
+    """Read the plan, once for all parts that a process writes."""
+    del changed
+    plan: OutputPlan = pickle.loads(path.read_bytes())
+    return plan
+
+
 def mode_of_file(job: Job, file: int) -> OutputMode:
     """Return how the points of a file of the map go into its outputs, by the job's labels."""
     output, reader = job.configuration.output, job.collection.readers[file]
@@ -205,7 +231,8 @@ def mode_of_file(job: Job, file: int) -> OutputMode:
 
 
 def finish_parts(job: Job, plan: OutputPlan) -> None:
-    """Write what only all parts of an output together tell."""
+    """Write what only all parts of an output together tell; then they are not gone on with."""
+    job.work.step_path(CREATING).unlink(missing_ok=True)
     summaries: dict[int, list[list[PartSummary]]] = {file: [] for file in plan.writers}
     for number, part in enumerate(plan.parts):
         kept = job.work.path("write", number, ".pickle").read_bytes()

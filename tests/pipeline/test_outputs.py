@@ -171,3 +171,30 @@ def test_names_that_only_their_suffix_made_different_stay_different(tmp_path):
 )
 def test_the_default_folder_is_named_after_the_map(paths, expected):
     assert default_folder([Path(path) for path in paths]) == Path(expected)
+
+
+@pytest.mark.parametrize("call", range(1, 9))
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_rename_that_fails_leaves_what_was_there(call, earlier, tmp_path, monkeypatch):
+    if earlier:
+        with output_folder(tmp_path, RESULTS) as staging:
+            write_results(staging, "old")
+    before = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    replace, calls = Path.replace, iter(range(1, 100))
+
+    def failing(self, target):
+        if next(calls) == call:
+            raise OSError(5, "Input/output error", str(self))
+        return replace(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", failing)
+        try:
+            with output_folder(tmp_path, RESULTS) as staging:
+                write_results(staging)
+        except OutputError:
+            assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == before
+    with output_folder(tmp_path, RESULTS) as staging:
+        write_results(staging)
+    assert (tmp_path / "static.pcd").read_text(encoding="utf-8") == "new"
+    assert listing(tmp_path) == ["dynamic.pcd", "run.json", "static.pcd"]

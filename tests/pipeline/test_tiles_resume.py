@@ -1,8 +1,8 @@
 """A run that was killed, or that failed, goes on: nothing is done twice, and never mixed up."""
 
-import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +18,7 @@ from pipeline.errors import InputChangedError, TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import opening, stages
+from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.tiles.status import status_text
 from tiling.errors import MapFormatError
 
@@ -219,8 +220,7 @@ def test_what_a_killed_task_left_half_written_is_never_taken(map_file, interrupt
 
 def test_a_marker_of_another_key_says_nothing(map_file, interrupted, expected, done_tasks):
     marker = interrupted / WORK / "density/000002.done"
-    stored = json.loads(marker.read_text(encoding="utf-8"))
-    marker.write_text(json.dumps(stored | {"key": "0" * 64}), encoding="utf-8")
+    write_sealed(marker, read_sealed(marker) | {"key": "0" * 64})
     cleaned(map_file, interrupted)
     assert {number for stage, number in done_tasks if stage == "density"} == {2, 4}
     assert results(interrupted) == expected
@@ -443,4 +443,58 @@ def test_a_failed_task_is_named_and_the_same_command_goes_on(
     cleaned(map_file, tmp_path / "out")
     if stage != "write":
         assert [each for name, each in done_tasks if name == stage] == [number]
+    assert results(tmp_path / "out") == expected
+
+
+def test_work_that_was_copied_goes_on_and_leaves_the_original_alone(
+    map_file, half_written, tmp_path, expected
+):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    moved = map_file.rename(elsewhere / "renamed.npy")
+    shutil.copytree(half_written, elsewhere / "out")
+    before = {path: path.read_bytes() for path in half_written.rglob("*") if path.is_file()}
+    cleaned(moved, elsewhere / "out")
+    assert results(elsewhere / "out") == expected
+    after = {path: path.read_bytes() for path in half_written.rglob("*") if path.is_file()}
+    assert after == before
+
+
+@pytest.mark.parametrize("library", ["numpy", "scikit-learn", "numba"])
+def test_work_of_other_versions_of_libraries_is_not_gone_on_with(
+    library, map_file, interrupted, monkeypatch, expected
+):
+    true = opening.version
+    monkeypatch.setattr(opening, "version", lambda name: "0" if name == library else true(name))
+    report = cleaned(map_file, interrupted)
+    assert [each for each in report.warnings if "another version" in each]
+    assert results(interrupted) == expected
+
+
+def test_a_file_in_the_place_of_the_work_folder_is_no_obstacle(map_file, tmp_path, expected):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / WORK).write_bytes(b"")
+    cleaned(map_file, tmp_path / "out")
+    assert results(tmp_path / "out") == expected
+
+
+def test_markers_name_no_files_outside_of_the_work_folder(map_file, interrupted, expected):
+    precious = interrupted.parent / "precious"
+    (precious / "deep").mkdir(parents=True)
+    for name in ("../../precious", str(precious)):
+        marker = interrupted / WORK / "density/000002.done"
+        write_sealed(marker, read_sealed(marker) | {"written": [[name, None, 1, 1]]})
+    cleaned(map_file, interrupted)
+    assert (precious / "deep").is_dir()
+    assert results(interrupted) == expected
+
+
+def test_work_that_cannot_be_removed_does_not_fail_a_run_that_is_done(
+    map_file, tmp_path, monkeypatch, expected
+):
+    def failing(work):
+        raise PermissionError(13, "Permission denied", str(work))
+
+    monkeypatch.setattr(run_module, "remove_work", failing)
+    cleaned(map_file, tmp_path / "out")
     assert results(tmp_path / "out") == expected

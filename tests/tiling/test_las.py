@@ -497,12 +497,21 @@ def test_a_chunk_table_is_found_at_the_end_of_a_streamed_file(shared_data, tmp_p
     assert records_of(LasReader(path)).tobytes() == intact.tobytes()
 
 
-def test_what_follows_the_points_of_a_valid_file_is_ignored(tmp_path):
+def test_less_than_a_point_behind_the_last_one_is_noted(tmp_path):
     path = tmp_path / "map.las"
     raw = las_file(path)
-    patched(path, path.stat().st_size, b"garbage" * 9)
+    patched(path, path.stat().st_size, b"garbage")
+    reader = LasReader(path)
+    assert records_of(reader).tobytes() == raw.tobytes()
+    assert reader.description.notes == ("The 7 bytes after the last point are left out.",)
+
+
+def test_points_that_are_not_counted_are_refused(tmp_path):
+    path = tmp_path / "map.las"
+    las_file(path)
     patched(path, 247, struct.pack("<Q", 60))
-    assert records_of(LasReader(path)).tobytes() == raw[:60].tobytes()
+    with pytest.raises(MapFormatError, match="no points but the 60 points counted, found"):
+        LasReader(path)
 
 
 def test_a_fault_of_the_disk_is_not_the_files(tmp_path, monkeypatch):

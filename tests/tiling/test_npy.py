@@ -99,7 +99,7 @@ def test_bytes_after_the_array_are_noted(tmp_path, read_xyz):
     (tmp_path / "map.npy").write_bytes(npy(np.ones((4, 3))) + b"more")
     reader = open_map(tmp_path / "map.npy")
     assert read_xyz(reader).shape == (4, 3)
-    assert reader.description.notes == ("The 4 bytes after the array are left out.",)
+    assert reader.description.notes == ("The 4 bytes after the last point are left out.",)
 
 
 def with_header(text: bytes) -> bytes:

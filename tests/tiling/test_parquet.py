@@ -234,3 +234,24 @@ def test_damaged_files_are_read_or_refused(tmp_path, survives, options):
     table = GOOD.select(["x", "y", "z", "class", "seen"])
     _, refused = survives(parquet(table, **options), tmp_path / "map.parquet", 150)
     assert refused > 100
+
+
+def test_a_text_stored_once_and_meant_often_is_read_in_bounded_batches(tmp_path):
+    path = tmp_path / "map.parquet"
+    count = 3000
+    columns = {axis: np.arange(count, dtype=np.float32) for axis in "xyz"}
+    text = pa.array(["a" * 100_000, None, "b"] * (count // 3), pa.large_string())
+    path.write_bytes(parquet(pa.table(columns | {"text": text})))
+    assert path.stat().st_size < 200_000
+    reader = open_map(path)
+    batches = [batch.records for batch in reader.batches()]
+    assert sum(batch.num_rows for batch in batches) == count
+    assert max(batch.nbytes for batch in batches) < 1 << 27
+    assert pa.concat_tables(batches)["text"].equals(pa.chunked_array([text]))
+
+
+def test_columns_of_other_names_are_refused_with_the_shape(tmp_path):
+    path = tmp_path / "map.parquet"
+    path.write_bytes(parquet(pa.table({axis: np.arange(9.0) for axis in ("0", "1", "2")})))
+    with pytest.raises(MapFormatError, match="9 rows of 3 columns: 0, 1, 2"):
+        open_map(path)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import PartsError, PointCountError, RowRangeError
+from tiling.foreign_text import LONGEST_MESSAGE, printable
 from tiling.formats.grid import Grid
 from tiling.formats.units import Units
 
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
+
+LARGEST_BATCH = 1 << 26
+"""Bytes of records in a batch, however many points the caller allows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,15 @@ class MapDescription:
     largest_class: int = 255
     grid: Grid | None = None
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Make what is shown to people, and comes from the file, fit for it."""
+        object.__setattr__(self, "format", printable(self.format))
+        object.__setattr__(
+            self, "notes", tuple(printable(note, LONGEST_MESSAGE) for note in self.notes)
+        )
+        if self.crs is not None:
+            object.__setattr__(self, "crs", printable(self.crs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,10 +246,10 @@ class MapReader(ABC):
         Parameters
         ----------
         max_points : int
-            Points in a batch.
+            Points in a batch; fewer come where they take more than `LARGEST_BATCH` bytes.
         rows : range, optional
             Consecutive row numbers of the points wanted; otherwise all. What follows the last
-            of them in the file is neither read nor checked.
+            of them in the file is not checked, but where that is the last of all.
 
         Raises
         ------
@@ -247,11 +260,17 @@ class MapReader(ABC):
         """
         description = self.description
         rows = checked_rows(str(description.path), rows, description.point_count)
-        return self._batches(max_points, rows)
+        most = LARGEST_BATCH // max(self.bytes_per_point, 1)
+        return self._batches(max(min(max_points, most), 1), rows)
 
     @abstractmethod
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield the points of a range of rows that the file has."""
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record, as far as that is known before it is read; else 0."""
+        return 0
 
     @property
     def record_dtype(self) -> np.dtype[Any] | None:

@@ -3,6 +3,7 @@
 import glob
 import hashlib
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate
@@ -170,7 +171,8 @@ class MapCollection:
             When the points of a file are not what its header announced.
         """
         rows = checked_rows(self.name, rows, self.point_count)
-        for file, (reader, first_row) in enumerate(zip(self.readers, self.first_rows, strict=True)):
+        for file in self.files_of(rows):
+            reader, first_row = self.readers[file], self.first_rows[file]
             start = max(rows.start - first_row, 0)
             stop = min(rows.stop - first_row, reader.description.point_count)
             if start < stop:
@@ -184,6 +186,16 @@ class MapCollection:
         if self.metres is None:
             return batch
         return replace(batch, xyz=batch.xyz * self.metres)
+
+    def files_of(self, rows: range) -> range:
+        """Return the files, by index, that consecutive rows of the whole map come from.
+
+        Files without a point may be among them.
+        """
+        if not rows:
+            return range(0)
+        first = bisect_right(self.first_rows, rows.start) - 1
+        return range(first, bisect_left(self.first_rows, rows.stop))
 
     def row_ranges(self, max_points: int) -> list[range]:
         """Cut the map into row ranges that several workers can read side by side.

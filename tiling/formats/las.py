@@ -29,12 +29,14 @@ from tiling.formats.las_header import (
     LasHeader,
     read_header,
 )
+from tiling.formats.las_leftover import check_behind_points
 from tiling.formats.las_surroundings import is_copc_index
 from tiling.formats.las_writer import LasPartWriter
 from tiling.formats.laz import (
     LaszipPoints,
     LazPoints,
     PointSource,
+    check_last_chunk,
     laszip_is_installed,
 )
 from tiling.formats.laz_chunks import knows_chunks
@@ -43,9 +45,6 @@ from tiling.formats.laz_parallel import ParallelLazPoints, can_be_read_in_parall
 from tiling.formats.laz_writer import LazWriter
 from tiling.formats.lazrs_pool import usable_threads
 from tiling.formats.parts import PartWriter, SinglePartWriter
-
-_LARGEST_BATCH = 1 << 28
-"""Bytes of records in a batch, however many points the caller allows."""
 
 
 class LasReader(MapReader):
@@ -67,7 +66,9 @@ class LasReader(MapReader):
         self._compression: Compression | None = None
         if self._header.compressed:
             self._compression = read_compression(self._header)
-        self.description = _describe(self._header)
+        with path.open("rb") as file:
+            notes = check_behind_points(file, self._header, self._compression)
+        self.description = _describe(self._header, notes)
 
     @property
     def seekable(self) -> bool:
@@ -83,14 +84,20 @@ class LasReader(MapReader):
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield points whose `records` are (n, record_length) uint8."""
         header = self._header
-        most = max(1, min(max_points, _LARGEST_BATCH // header.record_length))
         with header.path.open("rb") as file:
             source = self._point_source(file, rows)
-            for first in range(rows.start, rows.stop, most):
-                count = min(most, rows.stop - first)
+            for first in range(rows.start, rows.stop, max_points):
+                count = min(max_points, rows.stop - first)
                 records = np.empty((count, header.record_length), dtype=np.uint8)
                 source.read_into(records)
                 yield self.batch_of(first, records)
+            if rows and rows.stop == header.point_count and self._compression is not None:
+                check_last_chunk(file, header, self._compression)
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record; see `MapReader.bytes_per_point`."""
+        return self._header.record_length
 
     @property
     def record_dtype(self) -> np.dtype[Any]:
@@ -177,7 +184,7 @@ def _withheld(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.bool_
     return (records[:, 15] & np.uint8(128 if header.point_format < 6 else 4)) != 0
 
 
-def _describe(header: LasHeader) -> MapDescription:
+def _describe(header: LasHeader, notes: tuple[str, ...]) -> MapDescription:
     kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.minor_version}"
     kind = f"{kind}, point format {header.point_format}"
     if header.compressed and _has_copc_index(header):
@@ -193,7 +200,7 @@ def _describe(header: LasHeader) -> MapDescription:
         has_classification=True,
         largest_class=LAST_SHORT_CLASS if header.point_format < 6 else 255,
         grid=Grid(header.scales, header.offsets),
-        notes=tuple(_notes(header)),
+        notes=(*_notes(header), *notes),
     )
 
 

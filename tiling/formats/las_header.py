@@ -43,6 +43,8 @@ _VLR_HEADER = 54
 _EVLR_HEADER = 60
 _COMPRESSED = 0x80
 _LARGEST_GRID_COORDINATE = 1 << 31
+_LARGEST_BLOCK = 1 << 27
+"""Bytes before the points, which are held in memory as a whole."""
 _LARGEST_CRS = 1 << 20
 """Bytes of an EVLR of a coordinate reference system; no other EVLR is looked into."""
 
@@ -257,6 +259,9 @@ def _check_points_offset(path: Path, header: bytes, file_size: int) -> int:
             f"offset to points {points_offset}",
             f"byte {AT_POINTS_OFFSET}",
         )
+    if points_offset > _LARGEST_BLOCK:
+        expected = f"at most {_LARGEST_BLOCK} bytes before the points"
+        raise MapFormatError(path, expected, str(points_offset), f"byte {AT_POINTS_OFFSET}")
     return int(points_offset)
 
 

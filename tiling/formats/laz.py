@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.las_header import LasHeader
-from tiling.formats.laz_chunks import comes_from_lazrs, split_into_stretches
+from tiling.formats.laz_chunks import (
+    comes_from_lazrs,
+    knows_chunks,
+    split_into_chunks,
+    split_into_stretches,
+)
 from tiling.formats.laz_header import Compression
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
@@ -24,6 +29,9 @@ lazrs: Any = import_module("lazrs")  # without types that a checker can use
 _CHUNK_TABLE_WITHOUT_ENTRIES = bytes(8)
 _PASSED_AT_A_TIME = 50_000
 """Points decompressed at a time only to come to those after them."""
+
+_MOST_UNREAD = 1
+"""Bytes that a decompressor may leave at the end; one more point takes more but in rare cases."""
 
 
 class PointSource(Protocol):
@@ -89,6 +97,8 @@ class LazPoints:
             self._decompress(records[done : done + count])
             self._left_in_stretch -= count
             done += count
+        if not self._compression.has_chunks and self._row + done == self._header.point_count:
+            _refuse_unread(self._header, self._decompressor, 0)
         if self._compression.needs_laszip:
             self._check_single_channel(records)
         self._row += len(records)
@@ -143,6 +153,49 @@ class LazPoints:
                 "LASzip items of version 3, or the package laszip to read version 4 with",
                 "version 4 with several scanner channels, and no laszip",
             )
+
+
+def check_last_chunk(file: BinaryIO, header: LasHeader, compression: Compression) -> None:
+    """Check that the last chunk ends with the last point that the header counts.
+
+    Only points that are not in layers need to be decompressed for that; and nothing is checked
+    where it is not known where the chunk begins, or where there are no chunks.
+
+    Raises
+    ------
+    MapFormatError
+        When there is more in it.
+    """
+    if compression.has_layers or not knows_chunks(file, header, compression):
+        return
+    rows = range(header.point_count - 1, header.point_count)
+    for chunk in split_into_chunks(file, header, compression, rows):
+        window = _Window(file, chunk.start, chunk.end, has_chunks=True)
+        try:
+            data = compression.for_stretch(chunk.chunk_size)
+            decompressor = lazrs.LasZipDecompressor(window, data)
+            for first in range(0, chunk.points, _PASSED_AT_A_TIME):
+                count = min(_PASSED_AT_A_TIME, chunk.points - first)
+                decompressor.decompress_many(np.empty(count * header.record_length, np.uint8))
+        except BaseException as error:
+            refuse_points(header, chunk.first_row, error)
+        _refuse_unread(header, decompressor, len(_CHUNK_TABLE_WITHOUT_ENTRIES))
+
+
+def _refuse_unread(header: LasHeader, decompressor: Any, after: int) -> None:
+    """Refuse compressed bytes behind the last point; `after` of them are no points."""
+    byte = np.empty(1, dtype=np.uint8)
+    unread = -after
+    try:
+        while unread <= _MOST_UNREAD:
+            decompressor.read_raw_bytes_into(byte)
+            unread += 1
+    except BaseException as error:
+        if not comes_from_lazrs(error):
+            raise
+        return
+    expected = f"no points but the {header.point_count} counted"
+    raise MapFormatError(header.path, expected, "further compressed bytes behind them")
 
 
 def refuse_points(header: LasHeader, row: int, error: BaseException) -> NoReturn:

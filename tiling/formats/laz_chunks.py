@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 from tiling.errors import MapFormatError
 from tiling.formats.las_header import LasHeader
 from tiling.formats.laz_header import Compression, refuse
+from tiling.formats.leftover import check_leftover
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -109,6 +110,47 @@ def split_into_chunks(
         row = number * size
         yield Stretch(start, end, row, min(size, header.point_count - row), size)
         start = end
+
+
+def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compression) -> None:
+    """Check that the chunks are for the points that the header counts, and for no more.
+
+    Where points are not in layers, the last chunk does not say how many it has.
+
+    Raises
+    ------
+    MapFormatError
+        When there are more points in them.
+    """
+    count, size = header.point_count, compression.chunk_size
+    try:
+        start, table = read_chunk_table(file, header, compression)
+    except MapFormatError:
+        # A table that is missing or wrong is no matter where the points are read without it.
+        if compression.has_variable_chunks:
+            raise
+        if not count:
+            smallest = header.record_length
+            check_leftover(
+                file, header.points_offset, header.file_size, smallest, header.path, "0 points"
+            )
+        return
+    # A chunk begins with its first point as it is; writers may end with one that has none.
+    filled = [points for points, stored in table if stored >= header.record_length]
+    if compression.has_variable_chunks:
+        if sum(filled) > count:
+            refuse(header, f"{count} points in the chunks", f"{sum(filled)}", start)
+        return
+    chunks = -(-count // size)
+    if len(filled) > chunks:
+        refuse(header, f"{chunks} chunks for {count} points", f"{len(filled)}", start)
+    if compression.has_layers and chunks:
+        last = next(_layered_chunk_ends(file, header, compression, range(chunks - 1, chunks)))
+        file.seek(last + header.record_length)
+        stored_count = file.read(4)
+        found = int.from_bytes(stored_count, "little") + (chunks - 1) * size
+        if found > count:
+            refuse(header, f"{count} points in the chunks", f"{found}", last)
 
 
 def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:

@@ -18,6 +18,7 @@ from tiling.formats.base import (
     PointBatch,
 )
 from tiling.formats.extension import ExtendedFormat, ExtendedRecords
+from tiling.formats.leftover import check_leftover
 from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
 from tiling.formats.parts import PartWriter, SinglePartWriter
 
@@ -46,23 +47,35 @@ class NpyReader(MapReader):
         with path.open("rb") as file:
             header = read_array_header(file, path)
         if not header.is_coordinates:
-            expected = "an (N, 3 or more) array of real numbers, or one with fields x, y and z"
+            expected = (
+                "an (N, 3 or more) array of real numbers, a point a row, or one with fields "
+                "x, y and z"
+            )
             raise MapFormatError(path, expected, str(header), at="the header")
-        size = path.stat().st_size - header.size
-        if size < header.data_bytes:
+        size = path.stat().st_size
+        end = header.size + header.data_bytes
+        if size < end:
             expected = f"{header.data_bytes} bytes of values ({header})"
-            raise MapFormatError(path, expected, f"{size} bytes", at=f"byte {header.size}")
+            found = f"{size - header.size} bytes"
+            raise MapFormatError(path, expected, found, at=f"byte {header.size}")
+        with path.open("rb") as file:
+            counted = f"{header.row_count} points"
+            notes = check_leftover(file, end, size, header.row_bytes, path, counted)
         self._header = header
         order = "Fortran order" if header.column_count > 1 else "C order"
-        surplus = size - header.data_bytes
         self.description = MapDescription(
             path=path,
             format=f"NumPy npy {header.version}.0, {order}",
             suffix=".npy",
             point_count=header.row_count,
             fields=array_fields(header),
-            notes=(f"The {surplus} bytes after the array are left out.",) if surplus else (),
+            notes=notes,
         )
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a row; see `MapReader.bytes_per_point`."""
+        return self._header.row_bytes
 
     @property
     def seekable(self) -> bool:

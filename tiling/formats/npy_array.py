@@ -30,6 +30,8 @@ _LONGEST_HEADER = 10_000
 _MOST_COLUMNS = 1024
 """Columns of an array in Fortran order, which are read side by side."""
 _LONGEST_ROW = 1 << 24
+_MOST_DOUBTLESS_COLUMNS = 16
+"""Columns that points without named fields have in practice; coordinates in rows have many more."""
 _COORDINATE_KINDS = "iuf"
 
 
@@ -95,7 +97,11 @@ class ArrayHeader:
                 and names is not None
                 and all(self.dtype[name].kind in _COORDINATE_KINDS for name in names)
             )
-        return len(self.shape) == 2 and self.shape[1] >= 3 and self.dtype.kind in _COORDINATE_KINDS
+        if len(self.shape) != 2 or self.dtype.kind not in _COORDINATE_KINDS:
+            return False
+        rows, columns = self.shape
+        lies_on_its_side = 0 < rows < columns and columns > _MOST_DOUBTLESS_COLUMNS
+        return columns >= 3 and not lies_on_its_side
 
     @property
     def is_column(self) -> bool:

@@ -24,6 +24,7 @@ from tiling.formats.base import (
 )
 from tiling.formats.coordinates import COORDINATES
 from tiling.formats.extension import ExtendedFormat, joined, packed
+from tiling.formats.leftover import check_leftover
 from tiling.formats.npy import array_fields
 from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
@@ -94,6 +95,11 @@ class NpzReader(MapReader):
                 )
             ),
         )
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a row of all arrays; see `MapReader.bytes_per_point`."""
+        return self._dtype.itemsize
 
     @property
     def seekable(self) -> bool:
@@ -282,6 +288,12 @@ def _entries(archive: zipfile.ZipFile, path: Path) -> list[_Member]:
                 expected = f"{header.data_bytes} bytes of array {name!r} ({header})"
                 found = f"{info.file_size - header.size} bytes"
                 raise MapFormatError(path, expected, found, at=f"byte {header.size} of the entry")
+            end = header.size + header.data_bytes
+            if end < info.file_size:
+                counted = f"{header.row_count} rows of array {name!r}"
+                with archive.open(info) as stream:
+                    entry = cast(BinaryIO, stream)
+                    check_leftover(entry, end, info.file_size, header.row_bytes, path, counted)
         members[info.filename] = _Member(info, name, header)
     return list(members.values())
 

@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import (
+    LARGEST_BATCH,
     Field,
     MapDescription,
     MapReader,
@@ -25,6 +27,7 @@ from tiling.formats.base import (
 )
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat
+from tiling.formats.parquet_sizes import check_sizes
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 _ARROW_SCHEMA = b"ARROW:schema"
@@ -32,6 +35,8 @@ _GEO = b"geo"
 _READ_BUFFER = 1 << 20
 _LONGEST_ROW_GROUP = 1 << 20
 """Rows of a row group that the writer gathers in memory, at most."""
+_LARGEST_ROW_GROUP = 1 << 28
+"""Their bytes, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,15 +133,19 @@ class ParquetReader(MapReader):
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        _check_signature(path)
+        self._bytes_per_row = check_sizes(path)
         with _opened(path) as file:
             stored = file.metadata.metadata or {}
             kept = {key: value for key, value in stored.items() if key != _ARROW_SCHEMA}
             self._schema = file.schema_arrow.with_metadata(kept or None)
+            self._texts = [each.name for each in self._schema if _is_text(each.type)]
             self._layout = _Layout.of(file, path)
             version, point_count = file.metadata.format_version, file.metadata.num_rows
         names = coordinate_names(self._schema.names)
         if names is None:
             found = ", ".join(self._schema.names[:12]) or "none"
+            found = f"{point_count} rows of {len(self._schema)} columns: {found}"
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
         self._names = names
         for name in names:
@@ -152,12 +161,18 @@ class ParquetReader(MapReader):
         )
 
     @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a row on average; see `MapReader.bytes_per_point`."""
+        return self._bytes_per_row
+
+    @property
     def seekable(self) -> bool:
         """Whether the row groups are short enough: a range is read by groups."""
         return self._layout.group_rows <= _LONGEST_ROW_GROUP
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        with _opened(self._path) as file:
+        # A text that is stored once may stand in every row.
+        with _opened(self._path, self._texts) as file:
             metadata = file.metadata
             sizes = [metadata.row_group(n).num_rows for n in range(metadata.num_row_groups)]
             starts = list(accumulate(sizes, initial=0))
@@ -177,16 +192,35 @@ class ParquetReader(MapReader):
         """Yield the points of consecutive row groups, the first of which is in `row`."""
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
-            table = pa.Table.from_batches([batch])
-            xyz = np.empty((table.num_rows, 3))
-            for column, name in enumerate(self._names):
-                xyz[:, column] = _numbers(table.column(name))
-            if table.num_rows:
+            for table in self._within_bytes(pa.Table.from_batches([batch])):
+                xyz = np.empty((table.num_rows, 3))
+                for column, name in enumerate(self._names):
+                    xyz[:, column] = _numbers(table.column(name))
                 yield TableBatch(row, xyz, table)
-            row += table.num_rows
+                row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"
             raise MapFormatError(self._path, expected, f"{row}", at="the end")
+
+    def _within_bytes(self, table: pa.Table) -> Iterator[pa.Table]:
+        """Yield the rows with their texts in full, as many at a time as memory is for."""
+        lengths = np.zeros(table.num_rows, dtype=np.int64)
+        for name in self._texts:
+            for chunk in table.column(name).chunks:
+                of_text = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
+                lengths += pc.fill_null(of_text.take(chunk.indices), 0).to_numpy(False)
+        ends = np.cumsum(lengths)
+        start = 0
+        while start < table.num_rows:
+            most = LARGEST_BATCH + (ends[start - 1] if start else 0)
+            stop = max(int(np.searchsorted(ends, most, side="right")), start + 1)
+            part = table.slice(start, stop - start)
+            for name in self._texts:
+                at = self._schema.get_field_index(name)
+                text = part.column(at).cast(self._schema.field(at).type)
+                part = part.set_column(at, self._schema.field(at), text)
+            yield part
+            start = stop
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a table like this one; see `MapReader.writer`."""
@@ -238,7 +272,7 @@ class _ParquetWriter(MapWriter):
         self._group_rows = min(layout.group_rows or _LONGEST_ROW_GROUP, _LONGEST_ROW_GROUP)
         self._schema = schema
         self._gathered: list[pa.Table] = []
-        self._rows = 0
+        self._rows = self._bytes = 0
         self._writer = pq.ParquetWriter(
             path,
             schema,
@@ -253,7 +287,10 @@ class _ParquetWriter(MapWriter):
     def _append(self, records: Any) -> None:
         self._gathered.append(records)
         self._rows += records.num_rows
-        if self._rows >= self._group_rows:
+        self._bytes += records.nbytes
+        if self._bytes > _LARGEST_ROW_GROUP:
+            self._write_groups(self._rows)
+        elif self._rows >= self._group_rows:
             self._write_groups(self._rows - self._rows % self._group_rows)
 
     def _finish(self) -> None:
@@ -272,12 +309,34 @@ class _ParquetWriter(MapWriter):
         self._writer.write_table(table.slice(0, rows), row_group_size=self._group_rows)
         rest = table.slice(rows)
         self._gathered = [rest] if rest.num_rows else []
-        self._rows = rest.num_rows
+        self._rows, self._bytes = rest.num_rows, rest.nbytes
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file, and turn what is wrong with it into a `MapFormatError`."""
+def _opened(path: Path, texts: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file, and turn what is wrong with it into a `MapFormatError`.
+
+    Texts are given as references to each different one.
+    """
+    try:
+        with pq.ParquetFile(
+            path,
+            buffer_size=_READ_BUFFER,
+            read_dictionary=list(texts),
+            pre_buffer=False,
+            page_checksum_verification=True,
+        ) as file:
+            yield file
+    # pyarrow reports a corrupt file as any of these; one that cannot be read at all was met before.
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
+        if isinstance(error, OSError) and error.errno:
+            raise  # from the operating system, not about what the file holds
+        found = " ".join(str(error).split())[:200] or type(error).__name__
+        raise MapFormatError(path, "a whole Parquet file", found) from error
+
+
+def _check_signature(path: Path) -> None:
+    """Check how the file begins and ends."""
     with path.open("rb") as raw:
         start = raw.read(SIGNATURE_LENGTH)
         if not start.startswith(b"PAR1"):
@@ -287,20 +346,17 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
         if size < 12 or raw.read(4) != b"PAR1":
             expected = "PAR1 at the end of a whole Parquet file"
             raise MapFormatError(path, expected, "other bytes", at=f"byte {max(size - 4, 0)}")
-    try:
-        with pq.ParquetFile(
-            path,
-            buffer_size=_READ_BUFFER,
-            pre_buffer=False,
-            page_checksum_verification=True,
-        ) as file:
-            yield file
-    # pyarrow reports a corrupt file as any of these; one that cannot be read at all was met above.
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
-        if isinstance(error, OSError) and error.errno:
-            raise  # from the operating system, not about what the file holds
-        found = " ".join(str(error).split())[:200] or type(error).__name__
-        raise MapFormatError(path, "a whole Parquet file", found) from error
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    """Tell whether values of a type have no size of their own, and can be read as references."""
+    types = pa.types
+    return bool(
+        types.is_string(kind)
+        or types.is_large_string(kind)
+        or types.is_binary(kind)
+        or types.is_large_binary(kind)
+    )
 
 
 def _type_name(kind: pa.DataType) -> str:

@@ -5,7 +5,8 @@ line of text. Only x, y and z are read from it. Ascii coordinates are the float6
 text, also where the header says float32, so that what is computed is what the file says; integers
 beyond 2**53 are the only coordinates that float64 does not hold exactly.
 
-Bytes after the last point, which some writers leave in the binary encodings, are passed over.
+Less than a point behind the last one, and padding, which some writers leave in the binary
+encodings, are passed over.
 
 All encodings are streamed. A binary_compressed file, one LZF stream over whole columns, is
 decompressed to, and compressed from, a temporary file of the size of its points.
@@ -33,6 +34,7 @@ from tiling.formats.base import (
 )
 from tiling.formats.column_spool import ColumnSpool
 from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.pcd_header import PcdField, PcdHeader, read_header
 from tiling.formats.text_rows import RowLayout, read_rows
@@ -68,10 +70,11 @@ class PcdReader(MapReader):
                 self._packed_size, self._stored = self._check_compressed(stream, size)
             else:
                 self._check_size(size)
-        notes: tuple[str, ...] = ()
+            notes = self._check_leftover(stream, self._header.data_offset + size)
         if self._header.height > 1:
             shape = f"{self._header.width} x {self._header.height}"
-            notes = (f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1.",)
+            organised = f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1."
+            notes = (organised, *notes)
         self.description = MapDescription(
             path=self._path,
             format=f"PCD {self._header.encoding}",
@@ -88,7 +91,10 @@ class PcdReader(MapReader):
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         if self._header.encoding == "ascii":
-            return only_rows(self._ascii_batches(max_points), rows)
+            batches = self._ascii_batches(max_points)
+            # All of them are read to the end, to find what is behind the last.
+            everything = rows == range(self._header.point_count)
+            return batches if everything else only_rows(batches, rows)
         if self._header.encoding == "binary":
             return self._binary_batches(max_points, rows)
         return self._compressed_batches(max_points, rows)
@@ -139,6 +145,25 @@ class PcdReader(MapReader):
                 str(size),
                 f"byte {header.data_offset}",
             )
+
+    def _check_leftover(self, stream: BinaryIO, stop: int) -> tuple[str, ...]:
+        """Refuse points that the header does not count; return notes on other bytes.
+
+        Rows of text are counted when they are read, unless there is none to be read.
+        """
+        header = self._header
+        start, record_size = header.data_offset, header.record_size
+        if header.encoding == "ascii":
+            if header.point_count:
+                return ()
+            record_size = 2 * header.value_count - 1
+        elif header.encoding == "binary":
+            start += header.point_count * record_size
+        else:
+            start += _SIZES.size + self._packed_size
+        counted = f"{header.point_count} points"
+        notes = check_leftover(stream, start, stop, record_size, self._path, counted)
+        return () if header.encoding == "ascii" else notes
 
     def _check_compressed(self, stream: BinaryIO, size: int) -> tuple[int, tuple[PcdField, ...]]:
         """Return the size of the compressed data, and the fields that are in them.
@@ -211,6 +236,11 @@ class PcdReader(MapReader):
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
                 yield self.batch_of(first_row, records)
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record, or of a short line; see `MapReader.bytes_per_point`."""
+        return self._header.record_size
 
     @property
     def record_dtype(self) -> np.dtype[Any] | None:

@@ -19,9 +19,10 @@ from tiling.formats.base import (
 )
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.ply_header import VERTEX, PlyHeader, PlyProperty, read_header
-from tiling.formats.ply_rows import open_rows
+from tiling.formats.ply_rows import PlyRows, open_rows
 
 _BLOCK = 1 << 20
 
@@ -57,18 +58,27 @@ class PlyReader(MapReader):
             raise MapFormatError(path, "vertex properties x, y and z", found, at="the header")
         self._names = names
         self._check_size()
+        notes = self._check_what_is_known()
         self.description = MapDescription(
             path=path,
             format=f"PLY {self._header.encoding} 1.0",
             suffix=".ply",
             point_count=vertex.count,
             fields=tuple(_field(each) for each in vertex.properties),
-            notes=tuple(
-                f"The {e.count} records of element {e.name!r} mean vertices by their number "
-                f"and are left out."
-                for e in self._header.dropped
+            notes=(
+                *(
+                    f"The {e.count} records of element {e.name!r} mean vertices by their number "
+                    f"and are left out."
+                    for e in self._header.dropped
+                ),
+                *notes,
             ),
         )
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record, or of the shortest; see `MapReader.bytes_per_point`."""
+        return self._header.vertex.least_bytes
 
     @property
     def seekable(self) -> bool:
@@ -97,6 +107,8 @@ class PlyReader(MapReader):
                 most = min(max_points, rows.stop - first)
                 records, xyz = reader.take(element, most, self._names)
                 yield PointBatch(first, xyz, records)
+        if rows.stop == self.description.point_count:
+            self._check_to_the_end()
 
     def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
         spans: dict[str, tuple[int, int]] = {}
@@ -116,8 +128,9 @@ class PlyReader(MapReader):
                         yield PointBatch(first, xyz, records)
                         first += len(records)
                 spans[element.name] = (start, rows.position)
-        if self._spans is None:
-            self._spans = spans
+            if self._spans is None:
+                self._check_behind(file, rows)
+                self._spans = spans
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a PLY file like this one; see `MapReader.writer`."""
@@ -172,25 +185,53 @@ class PlyReader(MapReader):
         kept = [e for e in others if e.count and e not in header.dropped]
         if not kept:
             return _KeptElements(self._path)
-        if self._spans is None:
-            self._spans = self._find_spans()
-        vertex_start = self._spans[VERTEX][0]
-        spans = [self._spans[element.name] for element in kept]
+        found = self._check_to_the_end()
+        vertex_start = found[VERTEX][0]
+        spans = [found[element.name] for element in kept]
         return _KeptElements(
             self._path,
             before=tuple(span for span in spans if span[0] < vertex_start),
             after=tuple(span for span in spans if span[0] >= vertex_start),
         )
 
-    def _find_spans(self) -> dict[str, tuple[int, int]]:
-        spans = {}
-        with self._path.open("rb") as file:
-            rows = open_rows(file, self._header, self._path)
-            for element in self._header.elements:
-                start = rows.position
-                rows.skip(element)
-                spans[element.name] = (start, rows.position)
-        return spans
+    def _check_what_is_known(self) -> tuple[str, ...]:
+        """Refuse vertices that the header does not count, where no record need be read for that.
+
+        Otherwise they are met when the last vertex has been read; unless there is none to be read.
+        """
+        header = self._header
+        if header.encoding != "ascii" and all(each.is_fixed for each in header.elements):
+            with self._path.open("rb") as file:
+                rows = open_rows(file, header, self._path)
+                for element in header.elements:
+                    rows.skip(element)
+                return self._check_behind(file, rows)
+        if not header.vertex.count:
+            self._check_to_the_end()
+        return ()
+
+    def _check_behind(self, file: BinaryIO, rows: PlyRows) -> tuple[str, ...]:
+        """Refuse bytes behind all elements that could be another vertex."""
+        vertex = self._header.vertex
+        counts = ", ".join(f"{e.count} {e.name}" for e in self._header.elements)
+        is_text = self._header.encoding == "ascii"
+        least = 2 * len(vertex.properties) - 1 if is_text else vertex.least_bytes
+        stop = self._path.stat().st_size
+        return check_leftover(file, rows.position, stop, least, self._path, counts)
+
+    def _check_to_the_end(self) -> dict[str, tuple[int, int]]:
+        """Read all elements once; return where each of them begins and ends."""
+        if self._spans is None:
+            spans = {}
+            with self._path.open("rb") as file:
+                rows = open_rows(file, self._header, self._path)
+                for element in self._header.elements:
+                    start = rows.position
+                    rows.skip(element)
+                    spans[element.name] = (start, rows.position)
+                self._check_behind(file, rows)
+            self._spans = spans
+        return self._spans
 
 
 @dataclass(frozen=True, slots=True)

@@ -206,7 +206,7 @@ class _HeaderParser:
         self.ended = False
         self.owners: list[str | None] = []
         self._counts: dict[str, int] = {}
-        self._properties: dict[str, list[PlyProperty]] = {}
+        self._properties: dict[str, dict[str, PlyProperty]] = {}
         self._current: str | None = None
 
     def read(self, number: int, line: bytes) -> None:
@@ -230,7 +230,7 @@ class _HeaderParser:
     def elements(self) -> tuple[PlyElement, ...]:
         """Return the elements declared so far."""
         return tuple(
-            PlyElement(name, count, tuple(self._properties[name]))
+            PlyElement(name, count, tuple(self._properties[name].values()))
             for name, count in self._counts.items()
         )
 
@@ -258,7 +258,7 @@ class _HeaderParser:
         if name in self._counts:
             raise self._error("each element once", f"a second {name!r}")
         self._counts[name] = int(words[2])
-        self._properties[name] = []
+        self._properties[name] = {}
         return name
 
     def _property(self, words: list[str]) -> str:
@@ -269,14 +269,15 @@ class _HeaderParser:
         if len(words) != (5 if is_list else 3):
             raise self._error("a property with its type and name", repr(" ".join(words)))
         name = words[-1]
-        if any(name == other.name for other in self._properties[element]):
+        if name in self._properties[element]:
             raise self._error("each property once", f"a second {name!r}")
         count_dtype = None
         if is_list:
             count_dtype = self._dtype(words[2])
             if count_dtype.kind == "f":
                 raise self._error("whole numbers as lengths of a list", repr(words[2]))
-        self._properties[element].append(PlyProperty(name, self._dtype(words[-2]), count_dtype))
+        dtype = self._dtype(words[-2])
+        self._properties[element][name] = PlyProperty(name, dtype, count_dtype)
         return element
 
     def _dtype(self, word: str) -> np.dtype:

@@ -1,0 +1,308 @@
+"""What people do: places they go to one after the other, and how that looks over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from pipeline.simulation.meshes.stage import Stage
+from pipeline.simulation.meshes.walkways import Guide, Walkways
+
+STEP = 0.1
+"""Time between two samples of a track, in seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A place to be at for a while.
+
+    Attributes
+    ----------
+    node : int
+        Of the walkways, near it.
+    place : (3,) float64 array
+    wait : float
+        In seconds.
+    yaw : float, optional
+        Where to look; as one came, if not given.
+    seat : float
+        Height of a seat to sit on; 0 to stand.
+    """
+
+    node: int
+    place: NDArray[np.float64]
+    wait: float
+    yaw: float | None = None
+    seat: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A mover over time, every `STEP`.
+
+    Attributes
+    ----------
+    place : (t, 3) float64 array
+    yaw : (t,) float64 array
+        Unwrapped.
+    gone : (t,) float64 array
+        Way gone so far, in metres.
+    pace : (t,) float64 array
+        In metres per second.
+    sitting, seat : (t,) float64 array
+    """
+
+    place: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    gone: NDArray[np.float64]
+    pace: NDArray[np.float64]
+    sitting: NDArray[np.float64]
+    seat: NDArray[np.float64]
+
+    @property
+    def travelled(self) -> float:
+        """The farthest that it ever is from where it began, in metres."""
+        return float(np.linalg.norm(self.place - self.place[0], axis=1).max())
+
+
+def follow(
+    stops: Sequence[Stop],
+    guide: Guide,
+    speed: float,
+    duration: float,
+    random: np.random.Generator,
+    aside: float = 0.0,
+    shift: float = 0.05,
+) -> Track:
+    """Go from stop to stop; stay at the last one.
+
+    Parameters
+    ----------
+    stops : sequence of Stop
+    guide : Guide
+        Knows the ways to all of them.
+    speed, duration : float
+    random : numpy.random.Generator
+    aside : float, optional
+        How far beside the shortest way, in metres.
+    shift : float, optional
+        How far one who stands shifts about, in metres (deviation).
+    """
+    count = int(np.ceil(duration / STEP)) + 2
+    places, yaws, seats, total = [], [], [], 0
+    before = stops[0]
+    for number, stop in enumerate(stops):
+        if number:
+            way = np.concatenate(
+                [before.place[None], guide.way(before.node, stop.node, aside), stop.place[None]]
+            )
+            steps = _paced(way, speed * random.uniform(0.85, 1.15))
+            places.append(steps)
+            yaws.append(np.full(len(steps), np.nan))
+            seats.append(np.zeros(len(steps)))
+            total += len(steps)
+        stays = max(1, int(stop.wait / STEP))
+        if number == len(stops) - 1:
+            stays = max(stays, count - total)
+        places.append(np.repeat(stop.place[None], stays, axis=0))
+        yaws.append(np.full(stays, np.nan if stop.yaw is None else stop.yaw))
+        seats.append(np.full(stays, stop.seat))
+        total += stays
+        before = stop
+        if total >= count:
+            break
+    seat = np.concatenate(seats)[:count]
+    return _track(np.concatenate(places)[:count], np.concatenate(yaws)[:count], seat, random, shift)
+
+
+def _paced(way: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
+    """Return where one is along a way at each step of time."""
+    lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    steps = max(2, int(np.ceil(along[-1] / (speed * STEP))))
+    at = np.linspace(0, along[-1], steps)
+    return np.stack([np.interp(at, along, way[:, axis]) for axis in range(3)], axis=1)
+
+
+def _track(
+    place: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    seat: NDArray[np.float64],
+    random: np.random.Generator,
+    shift: float,
+) -> Track:
+    """Add headings, gait and the unrest of those who stand."""
+    count = len(place)
+    place = gaussian_filter1d(place, 2.0, axis=0, mode="nearest")
+    velocity = np.gradient(place, axis=0)[:, :2] / STEP
+    pace = np.linalg.norm(velocity, axis=1)
+    yaw = np.where(pace > 0.15, np.arctan2(velocity[:, 1], velocity[:, 0]), wanted)
+    known = np.flatnonzero(np.isfinite(yaw))
+    if len(known):  # as one came, until told otherwise
+        last = np.maximum.accumulate(np.where(np.isfinite(yaw), np.arange(count), -1))
+        yaw = yaw[np.where(last < 0, known[0], last)]
+    else:
+        yaw = np.full(count, random.uniform(-np.pi, np.pi))
+    yaw = gaussian_filter1d(np.unwrap(yaw), 3.0, mode="nearest")
+    standing = gaussian_filter1d((pace < 0.15).astype(np.float64), 4.0)
+    sitting = gaussian_filter1d((seat > 0).astype(np.float64), 4.0)
+    unrest = _wander(random, (count, 3), 3.0)
+    place = place + np.column_stack([unrest[:, :2], np.zeros(count)]) * (
+        shift * standing * (1 - sitting)
+    ).reshape(-1, 1)
+    yaw = yaw + 6 * shift * unrest[:, 2] * standing * (1 - 0.8 * sitting)
+    gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+    held = np.maximum.accumulate(np.where(seat > 0, np.arange(count), 0))
+    return Track(
+        place, yaw, gone, gaussian_filter1d(pace, 3.0), sitting, np.maximum(seat[held], 0.4)
+    )
+
+
+def _wander(
+    random: np.random.Generator, shape: tuple[int, int], seconds: float
+) -> NDArray[np.float64]:
+    """Return smooth noise of deviation 1 that is forgotten over some seconds."""
+    noise = gaussian_filter1d(random.normal(size=shape), seconds / STEP, axis=0, mode="wrap")
+    even: NDArray[np.float64] = noise * np.sqrt(2 * np.sqrt(np.pi) * seconds / STEP)
+    return even
+
+
+class Planner:
+    """Draws what people do in a scene.
+
+    Parameters
+    ----------
+    stage : Stage
+    walkways : Walkways
+    duration : float
+        In seconds.
+    random : numpy.random.Generator
+    """
+
+    def __init__(
+        self, stage: Stage, walkways: Walkways, duration: float, random: np.random.Generator
+    ) -> None:
+        self._stage = stage
+        self._walkways = walkways
+        self._duration = duration
+        self._random = random
+        self._goals = walkways.draw(random, 24, room=0.5)
+        self._seats = list(random.permutation(len(stage.seats)))
+
+    def people(self, count: int, lingering: float) -> list[list[Stop]]:
+        """Return the stops of people: some who linger, walkers, groups, sitters and a queue."""
+        random = self._random
+        weights = random.dirichlet([1.6, 1.0, 1.0, 0.6, 0.5])
+        plans: list[list[Stop]] = [
+            self._lingerer() for _ in range(random.binomial(count, lingering))
+        ]
+        while len(plans) < count:
+            kind = random.choice(5, p=weights)
+            if kind == 1:
+                plans += self._group(min(count - len(plans), int(random.integers(2, 7))))
+            elif kind == 2 and self._seats:
+                plans.append(self._sitter())
+            elif kind == 3 and self._stage.queue is not None:
+                plans += self._queue(min(count - len(plans), int(random.integers(2, 8))))
+                weights = weights * [1, 1, 1, 0, 1]
+                weights /= weights.sum()
+            else:
+                plans.append(self._walker(long_waits=kind == 4))
+        return plans[:count]
+
+    def errands(self, count: int) -> list[list[Stop]]:
+        """Return the stops of things that drive where people go, or are put elsewhere once."""
+        return [
+            self._put_elsewhere() if self._random.random() < 0.4 else self._walker(long_waits=False)
+            for _ in range(count)
+        ]
+
+    def _at(self, node: int, wait: float, yaw: float | None = None) -> Stop:
+        return Stop(int(node), self._walkways.nodes[node], wait, yaw)
+
+    def _goal(self) -> int:
+        return int(self._random.choice(self._goals))
+
+    def _walker(self, long_waits: bool) -> list[Stop]:
+        random = self._random
+        left, stops = self._duration, []
+        while left > 0:
+            stands = random.random() < (0.8 if long_waits else 0.35)
+            wait = random.exponential(40.0 if long_waits else 5.0) if stands else 0.0
+            stops.append(self._at(self._goal(), wait))
+            left -= wait + 4.0
+        if random.random() < 0.5:
+            stops[0] = self._at(stops[0].node, random.uniform(0, self._duration))
+        return [*stops, self._at(self._goal(), 0.0)]
+
+    def _lingerer(self) -> list[Stop]:
+        """Stand at one place for most or all of the time."""
+        random = self._random
+        here = int(self._walkways.draw(random, 1)[0])
+        wait = random.uniform(0.3, 0.97) * self._duration
+        yaw = float(random.uniform(-np.pi, np.pi))
+        if random.random() < 0.4:
+            return [self._at(here, self._duration, yaw)]
+        if random.random() < 0.5:
+            return [self._at(self._goal(), self._duration - wait), self._at(here, wait, yaw)]
+        return [self._at(here, wait, yaw), self._at(self._goal(), 0.0)]
+
+    def _put_elsewhere(self) -> list[Stop]:
+        """Stand at one place, and from some time on at another."""
+        random = self._random
+        here = int(self._walkways.draw(random, 1)[0])
+        wait = random.uniform(0.1, 0.9) * self._duration
+        yaw = float(random.uniform(-np.pi, np.pi))
+        return [self._at(here, wait, yaw), self._at(self._goal(), 0.0)]
+
+    def _group(self, count: int) -> list[list[Stop]]:
+        """People who stand in a circle for a while, come one by one and leave about together."""
+        random = self._random
+        middle = int(self._walkways.draw(random, 1, room=1.0)[0])
+        radius = 0.35 + 0.1 * count
+        came = random.uniform(-0.5, 0.5) * self._duration
+        lasts = random.uniform(0.15, 0.8) * self._duration
+        plans = []
+        for number in range(count):
+            angle = 2 * np.pi * (number + random.uniform(-0.2, 0.2)) / count
+            out = radius * np.array([np.cos(angle), np.sin(angle), 0])
+            place = self._walkways.nodes[middle] + out
+            here = Stop(middle, place, lasts + random.uniform(0, 4), angle + np.pi)
+            arrives = came + random.uniform(0, 8)
+            first = [self._at(self._goal(), arrives)] if arrives > 0 else []
+            if arrives <= 0:
+                here = Stop(middle, place, max(3.0, here.wait + came), here.yaw)
+            plans.append([*first, here, *self._walker(long_waits=False)])
+        return plans
+
+    def _sitter(self) -> list[Stop]:
+        random = self._random
+        seat = self._stage.seats[self._seats.pop()]
+        place = np.array([seat.x, seat.y, seat.z])
+        node = int(self._walkways.nearest(place)[0])
+        here = Stop(node, place, random.uniform(0.15, 0.8) * self._duration, seat.yaw, seat.height)
+        stops = [here, *self._walker(long_waits=False)]
+        if random.random() < 0.6:
+            stops.insert(0, self._at(self._goal(), random.uniform(0, 0.5) * self._duration))
+        return stops
+
+    def _queue(self, count: int) -> list[list[Stop]]:
+        """People in a line who move up each time that the first one leaves."""
+        random = self._random
+        slots = self._stage.queue
+        if slots is None:
+            return []
+        nodes = self._walkways.nearest(slots)
+        service = random.uniform(8, 40)
+        plans = []
+        for number in range(count):
+            stops = []
+            for slot in range(min(number, len(slots) - 1), -1, -1):
+                ahead = slots[max(slot - 1, 0)] - slots[max(slot, 1)]
+                yaw = float(np.arctan2(ahead[1], ahead[0]))
+                place = slots[slot] + np.append(random.normal(scale=0.08, size=2), 0)
+                stops.append(Stop(int(nodes[slot]), place, service * random.uniform(0.8, 1.2), yaw))
+            plans.append([*stops, *self._walker(long_waits=False)])
+        return plans

@@ -1,0 +1,204 @@
+"""Triangle meshes: boxes, tubes, sheets and leaves, made many at a time.
+
+All lengths are in metres. A shape is made about the origin, z up, and then put in its place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Rows: TypeAlias = ArrayLike | Sequence[Any]
+"""A table of numbers, in whatever lists it was written."""
+
+_BOX_CORNERS = np.array(
+    [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], dtype=np.float64
+)
+_BOX_TRIANGLES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+# A tube's ends are rounded: rings before and behind its ends, in radii, and how wide they are.
+_TUBE_BEYOND = np.array([-0.65, 0.0, 0.0, 0.65])
+_TUBE_WIDTH = np.array([0.72, 1.0, 1.0, 0.72])
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Triangles.
+
+    Attributes
+    ----------
+    vertices : (v, 3) float64 array
+    triangles : (t, 3) int64 array
+        Numbers of vertices.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+    @classmethod
+    def joined(cls, parts: Sequence["Mesh"]) -> "Mesh":
+        """Put meshes one after the other."""
+        if not parts:
+            return cls(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
+        starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+        return cls(
+            np.concatenate([part.vertices for part in parts]),
+            np.concatenate(
+                [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+            ),
+        )
+
+    def placed(self, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> "Mesh":
+        """Turn about z, then shift."""
+        return Mesh(turned(self.vertices, yaw) + np.array([x, y, z]), self.triangles)
+
+
+def turned(points: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+    """Turn points about z, counter-clockwise."""
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    placed: NDArray[np.float64] = points @ turn
+    return placed
+
+
+def boxes(rows: Rows) -> Mesh:
+    """Make upright boxes from rows of the middle's x, y, z and the lengths along x, y and z."""
+    table = np.asarray(rows, dtype=np.float64).reshape(-1, 6)
+    vertices = table[:, None, :3] + _BOX_CORNERS * table[:, None, 3:]
+    triangles = _BOX_TRIANGLES + 8 * np.arange(len(table))[:, None, None]
+    return Mesh(vertices.reshape(-1, 3), triangles.reshape(-1, 3))
+
+
+def tube_triangles(tubes: int, sides: int) -> NDArray[np.int64]:
+    """Return the triangles of tubes whose vertices `tube_vertices` made."""
+    side = np.arange(sides)
+    after = (side + 1) % sides
+    parts = []
+    for ring in range(3):
+        low, high = ring * sides, (ring + 1) * sides
+        parts.append(np.stack([low + side, low + after, high + after], axis=1))
+        parts.append(np.stack([low + side, high + after, high + side], axis=1))
+    first, last = 4 * sides, 4 * sides + 1
+    parts.append(np.stack([after, side, np.full(sides, first)], axis=1))
+    parts.append(np.stack([3 * sides + side, 3 * sides + after, np.full(sides, last)], axis=1))
+    one = np.concatenate(parts)
+    many: NDArray[np.int64] = one + (4 * sides + 2) * np.arange(tubes)[:, None, None]
+    return many.reshape(-1, 3)
+
+
+def tube_vertices(
+    ends: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    sides: int,
+    across: NDArray[np.float64] | None = None,
+    depth: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Return the vertices of tapered tubes with rounded ends.
+
+    Parameters
+    ----------
+    ends : (n, 2, 3) float64 array
+        Where each tube begins and ends.
+    radii : (n, 2) float64 array
+        Its radius there.
+    sides : int
+    across : (n, 3) float64 array, optional
+        The direction in which the radius holds; any, if not given.
+    depth : (n,) float64 array, optional
+        How wide a tube is at right angles to that, by the radius.
+
+    Returns
+    -------
+    (n, 4 sides + 2, 3) float64 array
+    """
+    axis = ends[:, 1] - ends[:, 0]
+    length = np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-6)
+    axis = axis / length
+    if across is None:
+        across = np.where(np.abs(axis[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    aside = across - axis * np.sum(across * axis, axis=1, keepdims=True)
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
+    ahead = np.cross(axis, aside)
+    if depth is not None:
+        ahead = ahead * depth[:, None]
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * ahead[:, None]
+    of_ring = radii[:, [0, 0, 1, 1]]
+    middle = ends[:, [0, 0, 1, 1]] + (of_ring * _TUBE_BEYOND)[..., None] * axis[:, None]
+    rings = middle[:, :, None] + (of_ring * _TUBE_WIDTH)[..., None, None] * rim[:, None]
+    poles = ends + (radii * np.array([-1.0, 1.0]))[..., None] * axis[:, None]
+    return np.concatenate([rings.reshape(len(ends), -1, 3), poles], axis=1)
+
+
+def tubes(ends: Rows, radii: Rows, sides: int = 6) -> Mesh:
+    """Make tapered tubes with rounded ends, all of one radius or each of two."""
+    pairs = np.asarray(ends, dtype=np.float64).reshape(-1, 2, 3)
+    widths = np.broadcast_to(np.asarray(radii, dtype=np.float64), (len(pairs), 2))
+    vertices = tube_vertices(pairs, widths, sides)
+    return Mesh(vertices.reshape(-1, 3), tube_triangles(len(pairs), sides))
+
+
+def sheet(grid: NDArray[np.float64]) -> Mesh:
+    """Make a surface through a grid of (n, m, 3) points."""
+    rows, columns = grid.shape[:2]
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
+    c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return Mesh(grid.reshape(-1, 3).astype(np.float64), triangles)
+
+
+def extruded(profile: ArrayLike, width: float) -> Mesh:
+    """Make a body from its side view: (n, 2) corners x, z of a star-shaped outline about its mean.
+
+    The body reaches from -width/2 to width/2 along y.
+    """
+    outline = np.asarray(profile, dtype=np.float64)
+    count = len(outline)
+    sides = [
+        np.column_stack([outline[:, 0], np.full(count, y), outline[:, 1]])
+        for y in (-width / 2, width / 2)
+    ]
+    middle = outline.mean(axis=0)
+    hubs = np.array([[middle[0], y, middle[1]] for y in (-width / 2, width / 2)])
+    here = np.arange(count)
+    after = (here + 1) % count
+    triangles = np.concatenate(
+        [
+            np.stack([here, after, after + count], axis=1),
+            np.stack([here, after + count, here + count], axis=1),
+            np.stack([here, after, np.full(count, 2 * count)], axis=1),
+            np.stack([here + count, after + count, np.full(count, 2 * count + 1)], axis=1),
+        ]
+    )
+    return Mesh(np.concatenate([*sides, hubs]), triangles)
+
+
+def leaves(
+    random: np.random.Generator, count: int, reach: ArrayLike, size: float, hollow: float = 0.5
+) -> Mesh:
+    """Make small triangles in an ellipsoid about the origin.
+
+    Parameters
+    ----------
+    random : numpy.random.Generator
+    count : int
+    reach : (3,) float
+        Half axes.
+    size : float
+        About the length of an edge.
+    hollow : float, optional
+        0 fills the ellipsoid evenly; towards 1, leaves gather at its surface.
+    """
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    out = random.random((count, 1)) ** (1 / 3) * (1 - hollow) + hollow
+    middle = direction * out * np.asarray(reach, dtype=np.float64)
+    corners = middle[:, None] + random.normal(scale=size * 0.6, size=(count, 3, 3))
+    return Mesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))

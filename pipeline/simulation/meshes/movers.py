@@ -1,0 +1,273 @@
+"""Everything that changes its place while the map is recorded, as triangles at any time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.simulation.meshes.itineraries import STEP, Planner, Track, follow
+from pipeline.simulation.meshes.mesh import Mesh, boxes
+from pipeline.simulation.meshes.parameters import MeshParameters
+from pipeline.simulation.meshes.people import Bodies, Postures, draw_bodies, people_mesh
+from pipeline.simulation.meshes.raycasting import Target
+from pipeline.simulation.meshes.stage import Body, Lane, Stage
+from pipeline.simulation.meshes.vehicles import VEHICLES
+from pipeline.simulation.meshes.walkways import Walkways
+from pipeline.simulation.shapes import Surface
+
+STANDS = 0.35
+"""Who never gets farther than this from where he began has no honest truth, in metres."""
+
+_AWAY = np.array([0.0, 0.0, -1000.0])
+_PUSHED = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class Rigid:
+    """Something rigid that moves: its mesh, and where it is every `STEP`."""
+
+    mesh: Mesh
+    place: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    surface: Surface
+
+    @property
+    def radius(self) -> float:
+        """How far it reaches from its middle, and a little more, in metres."""
+        return float(np.hypot(*self.mesh.vertices[:, :2].T).max()) * 0.8 + 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Movers:
+    """p people and r rigid things; numbers of movers count people first.
+
+    Attributes
+    ----------
+    bodies : Bodies
+    tracks : tuple of Track
+        Of the people.
+    rigid : tuple of Rigid
+    albedo : (p + r,) float32 array
+    changes_place : (p + r,) bool array
+        Whether it ever leaves the place where it began.
+    """
+
+    bodies: Bodies
+    tracks: tuple[Track, ...]
+    rigid: tuple[Rigid, ...]
+    albedo: NDArray[np.float32]
+    changes_place: NDArray[np.bool_]
+
+    @property
+    def surfaces(self) -> NDArray[np.uint8]:
+        """The `Surface` of each mover."""
+        rest = [thing.surface for thing in self.rigid]
+        return np.array([Surface.PERSON] * len(self.tracks) + rest, dtype=np.uint8)
+
+    def places(self, time: float) -> NDArray[np.float64]:
+        """Return where each mover is: (p + r, 3)."""
+        tables = [track.place for track in self.tracks] + [thing.place for thing in self.rigid]
+        rows = [_between(table, time) for table in tables]
+        return np.array(rows).reshape(-1, 3)
+
+    def target(
+        self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
+    ) -> Target:
+        """Return what rays can meet, each mover at a time of its own.
+
+        Parameters
+        ----------
+        times : (p + r,) float64 array
+            When the rays get to each.
+        sensor : (3,) float64 array
+            People make way for it.
+        reach : float
+            What is farther from it is left out, in metres.
+        """
+        people, owner = self._people(times, sensor, reach)
+        parts, owners = [people], [owner]
+        for number, thing in enumerate(self.rigid):
+            time = float(times[len(self.tracks) + number])
+            place = _between(thing.place, time)
+            away = float(np.hypot(*(place - sensor)[:2]))
+            # Nothing drives over the sensor: what would is not there for that scan.
+            if thing.radius < away < reach and place[2] > _AWAY[2] / 2:
+                yaw = float(np.interp(time / STEP, np.arange(len(thing.yaw)), thing.yaw))
+                parts.append(thing.mesh.placed(place[0], place[1], place[2], yaw))
+                owners.append(np.full(len(thing.mesh.triangles), len(self.tracks) + number))
+        mesh, owner = Mesh.joined(parts), np.concatenate(owners)
+        surface = self.surfaces[owner] if len(owner) else np.empty(0, dtype=np.uint8)
+        albedo = self.albedo[owner] if len(owner) else np.empty(0, dtype=np.float32)
+        return Target(Body(mesh, surface, albedo), owner)
+
+    def _people(
+        self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
+    ) -> tuple[Mesh, NDArray[np.int64]]:
+        rows = np.array(
+            [_posture(track, float(time)) for track, time in zip(self.tracks, times, strict=False)]
+        ).reshape(-1, 9)
+        away = rows[:, :2] - sensor[:2]
+        distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-3)
+        near = np.abs(rows[:, 2] + 1 - sensor[2]) < 2.5
+        push = np.where(near, np.maximum(0.0, _PUSHED - distance), 0.0)
+        rows[:, :2] += away / distance[:, None] * push[:, None]
+        seen = np.flatnonzero(distance < reach)
+        heights = self.bodies.height[seen]
+        bodies = Bodies(
+            heights, self.bodies.build[seen], self.bodies.coat[seen], self.bodies.swing[seen],
+            tuple(self.bodies.carried[number] for number in seen),
+        )  # fmt: skip
+        kept = rows[seen]
+        step = np.clip(kept[:, 5] / (0.76 * heights), 0, 1.3)
+        postures = Postures(
+            place=kept[:, :3], yaw=kept[:, 3], phase=2 * np.pi * kept[:, 4] / (0.83 * heights),
+            stride=step, sitting=kept[:, 6], seat=kept[:, 7], lean=kept[:, 8],
+        )  # fmt: skip
+        mesh, owner = people_mesh(bodies, postures)
+        return mesh, seen[owner]
+
+
+def _between(table: NDArray[np.float64], time: float) -> NDArray[np.float64]:
+    """Return a row of a table between its samples; none between where a thing jumps."""
+    at = min(max(time / STEP, 0.0), len(table) - 1.001)
+    low = int(at)
+    begin: NDArray[np.float64] = table[low]
+    step = table[low + 1] - begin
+    return begin if np.abs(step).max() > 20 else begin + step * (at - low)
+
+
+def _posture(track: Track, time: float) -> tuple[float, ...]:
+    """Return place, yaw, way gone, pace, sitting, seat and lean of a person."""
+    at = min(max(time / STEP, 0.0), len(track.yaw) - 1.001)
+    low = int(at)
+    part = at - low
+    x, y, z = track.place[low] + (track.place[low + 1] - track.place[low]) * part
+    yaw = track.yaw[low] + (track.yaw[low + 1] - track.yaw[low]) * part
+    gone = track.gone[low] + (track.gone[low + 1] - track.gone[low]) * part
+    return (x, y, z, yaw, gone, track.pace[low], track.sitting[low], track.seat[low],
+            0.06 * track.sitting[low])  # fmt: skip
+
+
+def populate(
+    stage: Stage,
+    walkways: Walkways,
+    parameters: MeshParameters,
+    duration: float,
+    random: np.random.Generator,
+) -> Movers:
+    """Draw who and what moves."""
+    planner = Planner(stage, walkways, duration, random)
+    plans = planner.people(parameters.people, parameters.lingering)
+    count = parameters.vehicles
+    driven = [lane for lane in stage.lanes if lane.kinds]
+    pushed = random.integers(0, count + 1) if driven else count
+    errands = planner.errands(int(pushed))
+    nodes = [stop.node for plan in (*plans, *errands) for stop in plan]
+    guide = walkways.guide(np.array(nodes or [0]))
+    tracks = []
+    for plan in plans:
+        speed = float(np.clip(random.normal(1.15, 0.25), 0.4, 1.9))
+        aside = float(random.normal(scale=0.5))
+        tracks.append(follow(plan, guide, speed, duration, random, aside))
+    rigid = []
+    for plan in errands:
+        track = follow(plan, guide, float(random.uniform(0.4, 1.6)), duration, random, shift=0.0)
+        kind = str(random.choice(["robot", "robot", "dog", "chair", "crate"]))
+        rigid.append(Rigid(VEHICLES[kind](random), track.place, track.yaw, Surface.MACHINE))
+    for _ in range(count - len(errands)):
+        rigid.append(_driver(driven[int(random.integers(len(driven)))], duration, random))
+    rigid += _doors(stage, duration, random, parameters.vehicles)
+    total = len(tracks) + len(rigid)
+    changes = [track.travelled > STANDS for track in tracks] + [True] * len(rigid)
+    return Movers(
+        bodies=draw_bodies(random, len(tracks), float(random.uniform(0.1, 0.7))),
+        tracks=tuple(tracks),
+        rigid=tuple(rigid),
+        albedo=random.uniform(0.06, 0.8, total).astype(np.float32),
+        changes_place=np.array(changes, dtype=np.bool_),
+    )
+
+
+def seat_people(stage: Stage, count: int) -> None:
+    """Put people who sit all the time into the scene that stands; their seats are taken."""
+    random = stage.random
+    order = random.permutation(len(stage.seats))
+    seats = [stage.seats[number] for number in order[:count]]
+    stage.seats = [stage.seats[number] for number in order[count:]]
+    if not seats:
+        return
+    zero = np.zeros(len(seats))
+    mesh, _ = people_mesh(
+        draw_bodies(random, len(seats), 0.0),
+        Postures(
+            place=np.array([[seat.x, seat.y, seat.z] for seat in seats]),
+            yaw=np.array([seat.yaw for seat in seats]),
+            phase=zero,
+            stride=zero,
+            sitting=zero + 1,
+            seat=np.array([seat.height for seat in seats]),
+            lean=random.uniform(-0.1, 0.3, len(seats)),
+        ),
+    )
+    stage.mesh(mesh, Surface.PERSON)
+
+
+def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
+    """Drive along a lane again and again, with stops, or pull out once after a long stand."""
+    kind = str(random.choice(lane.kinds))
+    count = int(np.ceil(duration / STEP)) + 2
+    lengths = np.linalg.norm(np.diff(lane.line, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    speed = random.uniform(*lane.speed) * (0.5 if kind in ("bicycle", "bus") else 1.0)
+    pace = np.full(count, speed)
+    for _ in range(random.poisson(duration / 60)):
+        begin = int(random.integers(count))
+        pace[begin : begin + int(random.uniform(3, 40) / STEP)] = 0.0
+    gone = np.cumsum(np.convolve(pace, np.ones(15) / 15, mode="same")) * STEP
+    if random.random() < 0.25:  # stands, then leaves for good
+        leaves = int(random.uniform(0.2, 0.9) * count)
+        gone = np.maximum(0.0, gone - gone[leaves])
+    gap = 0.0 if lane.closed else random.uniform(10, 60)
+    lap = along[-1] + gap
+    at = (gone + random.uniform(0, along[-1])) % lap
+    place = np.stack([np.interp(at, along, lane.line[:, axis]) for axis in range(3)], axis=1)
+    ahead = np.stack(
+        [np.interp(at + 0.5, along, lane.line[:, axis]) for axis in range(2)], axis=1
+    ) - np.stack([np.interp(at - 0.5, along, lane.line[:, axis]) for axis in range(2)], axis=1)
+    place[at > along[-1]] = _AWAY
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    mesh = VEHICLES[kind](random)
+    if kind == "bicycle":
+        mesh = Mesh.joined([mesh, _rider(random)])
+    surface = Surface.MACHINE if kind in ("forklift", "robot") else Surface.VEHICLE
+    return Rigid(mesh, place, yaw, surface)
+
+
+def _rider(random: np.random.Generator) -> Mesh:
+    """Make a person on a bicycle."""
+    one = np.ones(1)
+    mesh, _ = people_mesh(
+        draw_bodies(random, 1, 0.2),
+        Postures(place=np.array([[-0.2, 0.0, 0.0]]), yaw=0 * one, phase=0 * one,
+                 stride=one * random.uniform(0.2, 0.8), sitting=0.55 * one, seat=0.88 * one,
+                 lean=one * random.uniform(0.2, 0.6)),
+    )  # fmt: skip
+    return mesh
+
+
+def _doors(stage: Stage, duration: float, random: np.random.Generator, most: int) -> list[Rigid]:
+    """Open and close some doors."""
+    count = min(len(stage.doors), int(random.integers(0, most + 1)))
+    rigid = []
+    for number in random.permutation(len(stage.doors))[:count]:
+        door = stage.doors[number]
+        samples = int(np.ceil(duration / STEP)) + 2
+        opened = np.zeros(samples)
+        for _ in range(1 + random.poisson(duration / 60)):
+            begin = int(random.integers(samples))
+            opened[begin : begin + int(random.uniform(2, 60) / STEP)] = random.uniform(0.8, 1.7)
+        opened = np.convolve(opened, np.ones(12) / 12, mode="same")
+        leaf = boxes([door.width / 2, 0, door.height / 2, door.width, 0.045, door.height])
+        place = np.repeat([[door.x, door.y, door.z]], samples, axis=0)
+        rigid.append(Rigid(leaf, place, door.yaw + opened, Surface.FURNITURE))
+    return rigid

@@ -1,0 +1,178 @@
+"""Where the sensor truly is, and where a SLAM system would believe it to be."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from pipeline.simulation.meshes.itineraries import STEP, Stop, Track, follow
+from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters
+from pipeline.simulation.meshes.stage import Lane, Stage
+from pipeline.simulation.meshes.walkways import Walkways
+
+_FORGOTTEN = 25.0  # scans over which the error of the pose is forgotten
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The sensor's way: s scans.
+
+    Attributes
+    ----------
+    times : (s,) float64 array
+        When each scan begins, in seconds.
+    true, true_in_map, estimated : (s, 3, 4) float64 array
+        From the sensor's frame to the scene's, and to the map's: truly and as estimated.
+    velocity : (s, 3) float64 array
+        In the scene's frame.
+    """
+
+    times: NDArray[np.float64]
+    true: NDArray[np.float64]
+    true_in_map: NDArray[np.float64]
+    estimated: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+
+
+def longest(parameters: MeshParameters) -> float:
+    """Return how long the recording lasts at most, in seconds."""
+    between = parameters.interval
+    if parameters.key_distance and parameters.mode is not DriveMode.STAND:
+        between = max(between, 1.6 * parameters.key_distance / parameters.speed)
+    return parameters.scans * between + 2
+
+
+def sensor_track(
+    stage: Stage,
+    walkways: Walkways,
+    parameters: MeshParameters,
+    random: np.random.Generator,
+) -> Track:
+    """Draw the way of the sensor's foot."""
+    duration = longest(parameters)
+    goals = walkways.draw(random, 10, room=0.6)
+    if parameters.mode is DriveMode.STAND:
+        here = int(goals[0])
+        stops = [Stop(here, walkways.nodes[here], duration, float(random.uniform(-3, 3)))]
+        return follow(stops, walkways.guide(goals[:1]), 1.0, duration, random, shift=0.0)
+    if stage.robot_lane is not None:
+        return _along(stage.robot_lane, parameters, duration, random)
+    stops, going = [], 0.0
+    while going < duration:
+        wait = 0.0
+        if parameters.mode is DriveMode.STOP_AND_GO:
+            wait = float(random.exponential(12.0)) if random.random() < 0.7 else 0.0
+        goal = int(random.choice(goals))
+        stops.append(Stop(goal, walkways.nodes[goal], wait))
+        going += wait + 2.0
+    return follow(stops, walkways.guide(goals), parameters.speed, duration, random, shift=0.0)
+
+
+def _along(
+    lane: Lane, parameters: MeshParameters, duration: float, random: np.random.Generator
+) -> Track:
+    """Drive along a lane, once, as far as time goes."""
+    count = int(np.ceil(duration / STEP)) + 2
+    lengths = np.linalg.norm(np.diff(lane.line, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    pace = np.full(count, parameters.speed)
+    if parameters.mode is DriveMode.STOP_AND_GO:
+        for _ in range(1 + random.poisson(duration / 40)):
+            begin = int(random.integers(count))
+            pace[begin : begin + int(random.uniform(5, 30) / STEP)] = 0.0
+    pace = gaussian_filter1d(pace, 8.0)
+    gone = np.cumsum(pace) * STEP
+    spare = max(0.0, along[-1] - gone[-1])
+    at = np.minimum(gone + random.uniform(0, spare), along[-1] - 0.01)
+    place = np.stack([np.interp(at, along, lane.line[:, axis]) for axis in range(3)], axis=1)
+    after = np.stack([np.interp(at + 1, along, lane.line[:, axis]) for axis in range(2)], axis=1)
+    before = np.stack([np.interp(at - 1, along, lane.line[:, axis]) for axis in range(2)], axis=1)
+    ahead = after - before
+    yaw = gaussian_filter1d(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])), 5.0)
+    zero = np.zeros(count)
+    return Track(place, yaw, gone, pace, zero, zero)
+
+
+def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
+    """Choose the times of the scans, and say where the sensor is and is believed to be."""
+    samples = np.arange(len(track.yaw)) * STEP
+    times = _scan_times(track, parameters)
+    place = np.stack([np.interp(times, samples, track.place[:, axis]) for axis in range(3)], axis=1)
+    later = np.stack(
+        [np.interp(times + 0.1, samples, track.place[:, axis]) for axis in range(3)], axis=1
+    )
+    yaw = np.interp(times, samples, track.yaw)
+    count = len(times)
+    tilt = np.radians(parameters.wobble) * random.normal(size=(count, 3)) * [1, 1, 0.3]
+    tilt[:, 1] += np.radians(parameters.pitch)
+    up = np.array([0, 0, parameters.sensor_height])
+    swing = np.array([0.02, 0.02, 0.02]) * (parameters.wobble > 0) * random.normal(size=(count, 3))
+    true = _poses(place + up + swing, yaw, tilt)
+    return Drive(
+        times, true, _in_map(true, true[0]), _estimated(true, parameters, random),
+        (later - place) / 0.1,
+    )  # fmt: skip
+
+
+def _in_map(poses: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take poses to the map's frame: level, with the first scan at its origin, as SLAM has it."""
+    level = Rotation.from_euler("z", -np.arctan2(first[1, 0], first[0, 0])).as_matrix()
+    place = (poses[:, :, 3] - first[:, 3]) @ level.T
+    return np.concatenate([level @ poses[:, :, :3], place[:, :, None]], axis=2)
+
+
+def _scan_times(track: Track, parameters: MeshParameters) -> NDArray[np.float64]:
+    """Return when scans enter the map: every so often, or only after so much way."""
+    samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
+    times = (np.arange(parameters.scans) * parameters.interval).astype(np.float64)
+    if parameters.key_distance and parameters.mode is not DriveMode.STAND:
+        turned = np.abs(np.gradient(track.yaw)).cumsum()
+        way = track.gone + turned * parameters.key_distance / 0.8  # a turn counts as way, too
+        marks = way[0] + np.arange(parameters.scans) * parameters.key_distance
+        reached = marks < way[-1]
+        times = samples[np.searchsorted(way, marks[reached])]
+        times = times[np.append(True, np.diff(times) > 0)]
+    in_time: NDArray[np.float64] = times[times < samples[-1] - 1.0]
+    return in_time
+
+
+def _poses(
+    place: NDArray[np.float64], yaw: NDArray[np.float64], tilt: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    turn = Rotation.from_euler("zyx", np.column_stack([yaw, tilt[:, 1], tilt[:, 0]]))
+    return np.concatenate([turn.as_matrix(), place[:, :, None]], axis=2)
+
+
+def _estimated(
+    true: NDArray[np.float64], parameters: MeshParameters, random: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return poses with an error that wanders, jitters, and leaves a gap at a loop closure."""
+    count = len(true)
+    angle = np.radians(parameters.drift_angle) * np.array([0.3, 0.3, 1.0])
+    wander = _ornstein_uhlenbeck(random, count)
+    shift = wander[:, :3] * parameters.drift_position * [1, 1, 0.7]
+    turn = wander[:, 3:] * angle
+    shift += random.normal(size=(count, 3)) * parameters.jitter_position
+    turn += random.normal(size=(count, 3)) * np.radians(parameters.jitter_angle) * [0.5, 0.5, 1]
+    way = random.normal(size=3) * [1, 1, 0.4]
+    gap = parameters.loop_gap * way / np.linalg.norm(way)
+    begin = random.uniform(0.35, 0.75) * count
+    share = np.clip((np.arange(count) - begin) / max(2.0, 0.03 * count), 0, 1)[:, None]
+    shift += share * gap
+    turn[:, 2] += share[:, 0] * float(random.normal(scale=0.02)) * parameters.loop_gap
+    error = Rotation.from_rotvec(turn).as_matrix()
+    place = true[:, :, 3] + shift
+    believed = np.concatenate([error @ true[:, :, :3], place[:, :, None]], axis=2)
+    return _in_map(believed, true[0])
+
+
+def _ornstein_uhlenbeck(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Return six wandering errors of deviation 1, smooth from scan to scan."""
+    kept = np.exp(-1 / _FORGOTTEN)
+    steps = random.normal(size=(count, 6)) * np.sqrt(1 - kept**2)
+    error = np.zeros((count, 6))
+    for scan in range(1, count):
+        error[scan] = kept * error[scan - 1] + steps[scan]
+    return gaussian_filter1d(error, 2.0, axis=0, mode="nearest")

@@ -1,0 +1,208 @@
+"""Rays that meet triangles: what stands, what moves, glass that passes and mirrors that turn."""
+
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import MissingPackageError
+from pipeline.simulation.meshes.stage import Body, Matter, Stage
+
+STATIC = -1
+_GLASS_SPARKLE = 0.55
+_GLASS_DUST = 0.06
+_OFF_MIRROR = 1e-3  # metres: where a turned ray starts, so as not to meet the mirror again
+
+
+def open3d() -> ModuleType:
+    """Import Open3D.
+
+    Raises
+    ------
+    MissingPackageError
+        When it is not installed, or a library of the system that it needs is not.
+    """
+    try:
+        import open3d as package  # noqa: PLC0415
+    except (ImportError, OSError) as error:
+        raise MissingPackageError(
+            "scenes of meshes: expected Open3D, which casts their rays, found none that imports "
+            f"({error}): pip install 'dynahull-pipeline[open3d]'"
+        ) from error
+    module: ModuleType = package
+    return module
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What n rays meet.
+
+    Attributes
+    ----------
+    distance : (n,) float64 array
+        Infinite where nothing is met; along the whole way where a mirror turned the ray.
+    surface : (n,) uint8 array
+    albedo, cosine : (n,) float32 array
+        Share of light that returns, and of the angle between ray and normal.
+    owner : (n,) int64 array
+        Number of the mover that is met, `STATIC` for none.
+    mirrored : (n,) bool array
+        Whether a mirror turned the ray.
+    """
+
+    distance: NDArray[np.float64]
+    surface: NDArray[np.uint8]
+    albedo: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+    owner: NDArray[np.int64]
+    mirrored: NDArray[np.bool_]
+
+    def of(self, rays: NDArray[np.int64]) -> "Hits":
+        """Return those of some rays."""
+        return Hits(
+            self.distance[rays], self.surface[rays], self.albedo[rays],
+            self.cosine[rays], self.owner[rays], self.mirrored[rays],
+        )  # fmt: skip
+
+    def take(self, other: "Hits", where: NDArray[np.bool_]) -> "Hits":
+        """Return these hits, but others where told."""
+        return Hits(
+            np.where(where, other.distance, self.distance),
+            np.where(where, other.surface, self.surface),
+            np.where(where, other.albedo, self.albedo),
+            np.where(where, other.cosine, self.cosine),
+            np.where(where, other.owner, self.owner),
+            np.where(where, other.mirrored, self.mirrored),
+        )
+
+
+class Target:
+    """Triangles that rays are cast at.
+
+    Parameters
+    ----------
+    body : Body
+    owner : (t,) int64 array, optional
+        The mover each triangle belongs to; all stand still if not given.
+    """
+
+    def __init__(self, body: Body, owner: NDArray[np.int64] | None = None) -> None:
+        self._package = open3d()
+        self._owner = owner
+        self._body = body
+        self.empty = not len(body.mesh.triangles)
+        self._scene = self._package.t.geometry.RaycastingScene(nthreads=1)
+        if not self.empty:
+            self._scene.add_triangles(
+                self._package.core.Tensor(np.ascontiguousarray(body.mesh.vertices, np.float32)),
+                self._package.core.Tensor(np.ascontiguousarray(body.mesh.triangles, np.uint32)),
+            )
+
+    def hits(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
+        """Return the first hit of each ray."""
+        count = len(origins)
+        if self.empty or not count:
+            return _nothing(count)
+        rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
+        answer = self._scene.cast_rays(self._package.core.Tensor(rays), nthreads=1)
+        distance = answer["t_hit"].numpy().astype(np.float64)
+        met = np.isfinite(distance)
+        triangle = np.where(met, answer["primitive_ids"].numpy().astype(np.int64), 0)
+        normals = answer["primitive_normals"].numpy()
+        cosine = np.abs(np.sum(normals * directions, axis=1)).astype(np.float32)
+        owner = np.full(count, STATIC) if self._owner is None else self._owner[triangle]
+        return Hits(
+            distance,
+            self._body.surface[triangle],
+            self._body.albedo[triangle],
+            np.where(met, cosine, 0).astype(np.float32),
+            np.where(met, owner, STATIC),
+            np.zeros(count, dtype=np.bool_),
+        )
+
+    def normals(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the unit normal where each ray meets something."""
+        rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
+        answer = self._scene.cast_rays(self._package.core.Tensor(rays), nthreads=1)
+        normals: NDArray[np.float64] = answer["primitive_normals"].numpy().astype(np.float64)
+        return normals
+
+    def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far each point is from the nearest triangle."""
+        if self.empty:
+            return np.full(len(points), np.inf)
+        tensor = self._package.core.Tensor(points.astype(np.float32))
+        distance = self._scene.compute_distance(tensor, nthreads=1).numpy()
+        away: NDArray[np.float64] = distance.astype(np.float64)
+        return away
+
+
+def _nothing(count: int) -> Hits:
+    return Hits(
+        np.full(count, np.inf),
+        np.zeros(count, dtype=np.uint8),
+        np.zeros(count, dtype=np.float32),
+        np.zeros(count, dtype=np.float32),
+        np.full(count, STATIC),
+        np.zeros(count, dtype=np.bool_),
+    )
+
+
+class Caster:
+    """All that stands in a scene, and what a ray finally meets."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.solid = Target(stage.body(Matter.SOLID))
+        self._glass = Target(stage.body(Matter.GLASS))
+        self._mirror = Target(stage.body(Matter.MIRROR))
+
+    def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far each point is from anything that stands."""
+        targets = (self.solid, self._glass, self._mirror)
+        away = [target.clearance(points) for target in targets]
+        nearest: NDArray[np.float64] = np.min(away, axis=0)
+        return nearest
+
+    def cast(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        movers: Target,
+        random: np.random.Generator,
+    ) -> Hits:
+        """Return what each ray meets: glass now and then, and what is seen in mirrors."""
+        hits = self._through_glass(origins, directions, movers, random)
+        mirror = self._mirror.hits(origins, directions)
+        seen = np.flatnonzero(mirror.distance < hits.distance)
+        if len(seen):
+            way = directions[seen]
+            normals = self._mirror.normals(origins[seen], way)
+            turned = way - 2 * normals * np.sum(way * normals, axis=1, keepdims=True)
+            to_mirror = mirror.distance[seen]
+            start = origins[seen] + to_mirror[:, None] * way + _OFF_MIRROR * turned
+            # Of their own, so that what a mirror shows changes no other ray's chances.
+            (chances,) = random.spawn(1)
+            there = self._through_glass(start, turned, movers, chances)
+            for field in ("surface", "albedo", "cosine", "owner"):
+                getattr(hits, field)[seen] = getattr(there, field)
+            hits.distance[seen] = there.distance + to_mirror + _OFF_MIRROR
+            hits.mirrored[seen] = True
+        return hits
+
+    def _through_glass(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        movers: Target,
+        random: np.random.Generator,
+    ) -> Hits:
+        hits = self.solid.hits(origins, directions)
+        moving = movers.hits(origins, directions)
+        hits = hits.take(moving, moving.distance < hits.distance)
+        glass = self._glass.hits(origins, directions)
+        returns = _GLASS_DUST + _GLASS_SPARKLE * glass.cosine.astype(np.float64) ** 60
+        shown = (glass.distance < hits.distance) & (random.random(len(origins)) < returns)
+        return hits.take(glass, shown)

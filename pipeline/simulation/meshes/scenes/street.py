@@ -1,0 +1,201 @@
+"""A street: facades with recesses, parked cars, trees, hedges, fences, poles, and traffic."""
+
+import numpy as np
+
+from pipeline.simulation.meshes import furniture as f
+from pipeline.simulation.meshes.building import wall
+from pipeline.simulation.meshes.mesh import boxes, sheet, tubes
+from pipeline.simulation.meshes.parameters import MeshParameters
+from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage
+from pipeline.simulation.meshes.vehicles import VEHICLES
+from pipeline.simulation.shapes import Surface
+
+_KERB = 0.12
+_STOREY = 3.1
+
+
+def street(stage: Stage, told: MeshParameters) -> None:
+    """Build it: along x, the carriageway about y = 0."""
+    random, u = stage.random, stage.random.uniform
+    long = u(70, 180)
+    half = u(3.0, 6.0)
+    pavements = [u(2.0, 5.0), u(2.0, 5.0)]
+    slope = u(-0.04, 0.04) if random.random() < 0.6 else 0.0
+    _ground(stage, long, half, pavements, slope)
+    for side, wide in zip((1.0, -1.0), pavements, strict=True):
+        inner, outer = half, half + wide
+        _facades(stage, long, side, outer, slope)
+        _parked(stage, long, side, inner, slope)
+        _pavement_things(stage, told, long, side, inner, outer, slope)
+        bounds = (0.0, min(side * inner, side * outer), long, max(side * inner, side * outer))
+        stage.floors.append(Floor(bounds, lambda x, y: _KERB + slope * x))
+    road = Floor((0.0, -half + 0.1, long, half - 0.1), lambda x, y: slope * x)
+    stage.floors.append(road)
+    for x in (0.1 * long, 0.5 * long, 0.9 * long):  # where one may cross
+        line = np.array([[x, y, slope * x] for y in np.linspace(-half, half, 7)])
+        stage.links.append(line)
+    lane = half * 0.32
+    for y, turn in ((lane, -1), (-lane, 1)):
+        xs = np.linspace(-40, long + 40, 40)[::turn]
+        line = np.column_stack([xs, np.full(40, y), slope * xs])
+        stage.lanes.append(Lane(line, ("car", "car", "van", "bicycle", "bus"), (4, 12)))
+    if told.sensor_height > 1.3:
+        xs = np.linspace(2, long - 2, 40)
+        stage.robot_lane = Lane(np.column_stack([xs, np.full(40, -lane), slope * xs]), (), (3, 9))
+        stage.lanes = stage.lanes[:1]
+
+
+def _ground(stage: Stage, long: float, half: float, pavements: list[float], slope: float) -> None:
+    """Lay carriageway, kerbs and pavements."""
+    x = np.linspace(-60, long + 60, 60)
+    widths = [
+        -half - pavements[1] - 25,
+        -half - 0.01,
+        -half,
+        half,
+        half + 0.01,
+        half + pavements[0] + 25,
+    ]
+    rise = [_KERB, _KERB, 0, 0, _KERB, _KERB]
+    grid = np.empty((len(x), len(widths), 3))
+    grid[..., 0], grid[..., 1] = x[:, None], np.array(widths)
+    grid[..., 2] = slope * x[:, None] + np.array(rise)
+    stage.mesh(sheet(grid), Surface.FLOOR, albedo=float(stage.random.uniform(0.1, 0.4)))
+
+
+def _facades(stage: Stage, long: float, side: float, edge: float, slope: float) -> None:
+    """Put houses side by side, with recesses, windows, balconies and gaps with fences."""
+    random, u = stage.random, stage.random.uniform
+    x = -20.0
+    while x < long + 20:
+        wide = u(6, 20)
+        base = slope * (x + wide / 2) + _KERB
+        if random.random() < 0.2:
+            _garden(stage, x, x + wide, side, edge, base)
+        else:
+            back = u(0, 3.0) if random.random() < 0.4 else 0.0
+            _house(stage, (x, x + wide), side, edge + back, base)
+        x += wide
+
+
+def _house(stage: Stage, along: tuple[float, float], side: float, edge: float, base: float) -> None:
+    """Build a front with windows, and what is seen through them: a back wall and floors."""
+    u = stage.random.uniform
+    x0, x1 = along
+    floors = int(u(1, 6))
+    high = floors * _STOREY
+    sill, pitch = u(0.8, 1.1), u(1.8, 3.2)
+    holes: list[tuple[float, float, float, float]] = []
+    for start in np.arange(0.6, x1 - x0 - 1.6, pitch):
+        width = min(u(0.8, 1.4), pitch - 0.3)
+        holes.append((float(start), width, 0.1 if u() < 0.2 else sill, 2.4))
+    for floor in range(floors):
+        z = base + floor * _STOREY
+        front = side * (edge + 0.17)
+        wall(stage, (x0, front), (x1, front), z, _STOREY, tuple(holes), 0.35)
+        for start, width, low, top in holes:
+            pane = [x0 + start + width / 2, side * (edge + 0.3), z + (low + top) / 2]
+            stage.boxes([*pane, width, 0.02, top - low], Surface.WALL, matter=Matter.GLASS)
+            if floor and u() < 0.06:
+                _balcony(stage, x0 + start - 0.4, x0 + start + width + 0.4, side, edge, z)
+    middle = (x0 + x1) / 2
+    inner = [[middle, side * (edge + 4), base + high / 2, x1 - x0, 0.2, high]]
+    inner += [[x, side * (edge + 2), base + high / 2, 0.2, 4, high] for x in (x0, x1)]
+    inner += [
+        [middle, side * (edge + 2), base + number * _STOREY, x1 - x0, 4, 0.2]
+        for number in range(1, floors + 1)
+    ]
+    stage.boxes(inner, Surface.WALL)
+
+
+def _balcony(stage: Stage, x0: float, x1: float, side: float, edge: float, z: float) -> None:
+    row = [(x0 + x1) / 2, side * (edge - 0.5), z, x1 - x0, 1.0, 0.15]
+    stage.boxes(row, Surface.WALL)
+    y = side * (edge - 1)
+    f.railing(stage, np.array([x0, y, z]), np.array([x1, y, z]))
+
+
+def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: float) -> None:
+    """Leave a gap with a fence or a hedge, trees and bushes behind it."""
+    random, u = stage.random, stage.random.uniform
+    start, end = np.array([x0, side * edge, base]), np.array([x1, side * edge, base])
+    if random.random() < 0.5:
+        f.hedge(stage, start, end, u(0.8, 1.9))
+    else:
+        f.railing(stage, start, end, u(0.9, 1.8))
+    for _ in range(int(u(1, 5))):
+        at = (u(x0 + 1, x1 - 1), side * (edge + u(1.5, 9)), base, 0.0)
+        (f.tree if random.random() < 0.5 else f.bush)(stage, at)
+    stage.block(
+        [x0, side * (edge + 12), base], [x1, side * (edge + 12) + 0.3, base + u(2, 6)], Surface.WALL
+    )
+
+
+def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -> None:
+    """Park cars along the kerb, with gaps."""
+    random, u = stage.random, stage.random.uniform
+    if kerb < 3.8:
+        return
+    share = u(0.1, 0.9)
+    x = 2.0
+    while x < long - 3:
+        if random.random() < share:
+            kind = str(random.choice(["car", "car", "car", "van"]))
+            at = (
+                x + 2.5,
+                side * (kerb - 1.1),
+                slope * x,
+                (0 if side < 0 else np.pi) + u(-0.03, 0.03),
+            )
+            f.place(stage, VEHICLES[kind](random), at, Surface.VEHICLE, u(0.05, 0.7))
+        x += u(5.4, 7.2)
+
+
+def _pavement_things(
+    stage: Stage,
+    told: MeshParameters,
+    long: float,
+    side: float,
+    inner: float,
+    outer: float,
+    slope: float,
+) -> None:
+    random, u = stage.random, stage.random.uniform
+    trees = random.random() < 0.5
+    for x in np.arange(u(2, 10), long, u(7, 18)):
+        base = _KERB + slope * x
+        at = (x, side * (inner + 0.5), base, 0.0)
+        if trees and outer - inner > 2.4:
+            f.tree(stage, at, u(5, 11))
+        else:
+            lamp = [[[0, 0, 0], [0, 0, 6.5]], [[0, 0, 6.5], [0, -side * 1.2, 6.7]]]
+            f.place(stage, tubes(lamp, 0.06, 7), at)
+    for _ in range(random.poisson(long / 9 * told.clutter)):
+        x = u(1, long - 1)
+        kerb_side = random.random() < 0.5
+        y = side * (inner + 0.35 if kerb_side else outer - 0.4)
+        at = (x, y, _KERB + slope * x, np.pi / 2 * -side)
+        kind = int(random.integers(8))
+        if kind == 0:
+            f.bench(stage, at)
+        elif kind == 1:
+            f.bin_(stage, at)
+        elif kind == 2:
+            f.bicycle_stand(stage, (at[0], at[1], at[2], 0.0), int(u(2, 6)))
+            f.place(stage, VEHICLES["bicycle"](random), (x, y, at[2], u(0, 3)), Surface.VEHICLE)
+        elif kind == 3:
+            posts = [
+                [[x + n * 1.4, y, at[2]], [x + n * 1.4, y, at[2] + 0.9]]
+                for n in range(int(u(2, 8)))
+            ]
+            stage.mesh(tubes(posts, 0.05, 7), Surface.FURNITURE)
+        elif kind == 4:
+            post = [[[0, 0, 0], [0, 0, 2.6]]]
+            f.place(stage, tubes(post, 0.03, 5), at)
+            f.place(stage, boxes([0, 0, 2.4, 0.02, 0.6, 0.6]), at)
+        elif kind == 5:
+            f.bush(stage, at)
+        elif kind == 6:
+            f.plant(stage, at)
+        else:
+            f.table(stage, (x, side * (outer - 0.8), at[2], 0.0), 2)

@@ -1,0 +1,263 @@
+"""Scans of a scene of meshes, and the map that SLAM would make of them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import ConfigurationError
+from pipeline.simulation.meshes.movers import Movers, populate, seat_people
+from pipeline.simulation.meshes.parameters import MeshParameters
+from pipeline.simulation.meshes.points import Points
+from pipeline.simulation.meshes.poses import Drive, drive, longest, sensor_track
+from pipeline.simulation.meshes.raycasting import Caster, Hits
+from pipeline.simulation.meshes.scenes import build_stage
+from pipeline.simulation.meshes.sensors import Sweep, sweep
+from pipeline.simulation.meshes.walkways import Walkways
+from pipeline.simulation.poses import to_map, to_sensor
+from pipeline.simulation.simulate import SimulatedScan
+
+_EDGE = 0.15  # metres between two ranges that a ray on an edge would mix
+_FULL_SIGNAL = 0.02  # of albedo x cosine at a quarter of the longest range: returns surely
+_CLEAR = 0.2  # share of a mixed range that a mover needs for its truth to be told
+
+
+class _Stream(IntEnum):
+    """Streams of random numbers of their own, so that more people, say, change no noise."""
+
+    SCENE = 0
+    MOVERS = 1
+    DRIVE = 2
+    DRIFT = 3
+    SENSOR = 4
+
+
+@dataclass(frozen=True, slots=True)
+class MeshMap:
+    """A map, and the truth about it.
+
+    Attributes
+    ----------
+    parameters : MeshParameters
+    points : Points
+    poses, true_poses : (s, 3, 4) float64 array
+        From the sensor's frame to the map's, as estimated and truly.
+    """
+
+    parameters: MeshParameters
+    points: Points
+    poses: NDArray[np.float64]
+    true_poses: NDArray[np.float64]
+
+    @property
+    def xyz(self) -> NDArray[np.float64]:
+        """Points in the map's frame, placed by the estimated poses, in metres."""
+        return self.points.xyz
+
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """Whether each point lies on something that changes its place."""
+        return self.points.moved
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether that can be told honestly."""
+        return self.points.known
+
+    @property
+    def scan(self) -> NDArray[np.int32]:
+        """The scan of each point."""
+        return self.points.scan
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """When each point was measured, in seconds."""
+        return self.points.time
+
+    @property
+    def sensor(self) -> str:
+        """The sensor, in words."""
+        told = self.parameters
+        return f"{told.sensor}, {told.rays} rays a scan, {told.rate:g} Hz, {told.sensor_height:g} m"
+
+
+class Recording:
+    """A scene, what moves in it, and the way of the sensor.
+
+    Parameters
+    ----------
+    parameters : MeshParameters
+
+    Raises
+    ------
+    MissingPackageError
+        When Open3D is not installed.
+    """
+
+    def __init__(self, parameters: MeshParameters) -> None:
+        self.parameters = parameters
+        self.stage = build_stage(parameters, self._random(_Stream.SCENE))
+        seat_people(self.stage, parameters.seated)
+        self.caster = Caster(self.stage)
+        spacing = 0.35 if parameters.kind.indoors else 0.6
+        walkways = Walkways.of(self.stage, self.caster, spacing)
+        lasts = longest(parameters)
+        random = self._random(_Stream.MOVERS)
+        self.movers: Movers = populate(self.stage, walkways, parameters, lasts, random)
+        track = sensor_track(self.stage, walkways, parameters, self._random(_Stream.DRIVE))
+        self.drive: Drive = drive(track, parameters, self._random(_Stream.DRIFT))
+
+    def _random(self, stream: _Stream, number: int = 0) -> np.random.Generator:
+        drive_number = 0 if stream is _Stream.SCENE else self.parameters.drive
+        key = (int(stream), drive_number, number)
+        return np.random.default_rng(np.random.SeedSequence(self.parameters.seed, spawn_key=key))
+
+    def scan(self, number: int, *, movers: bool = True) -> Points:
+        """Return the points of a scan in the map's frame, with what moves or without."""
+        told, random = self.parameters, self._random(_Stream.SENSOR, number)
+        start, true = float(self.drive.times[number]), self.drive.true[number]
+        turn = sweep(told.sensor, told.rays, number, told.rate, random)
+        origins = true[:, 3] + turn.share[:, None] / told.rate * self.drive.velocity[number]
+        aimed = turn.directions @ true[:, :3].T
+        hits, other = self._cast(number, turn, (origins, aimed), movers, random)
+        met = self._returned(hits, random)
+        distance = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
+        apart = np.where(np.isfinite(other.distance), other.distance - distance, 0.0)
+        between = met & (np.abs(apart) > _EDGE)
+        share = np.where(between, random.random(len(met)), 0.0)
+        ranges = distance + share * apart + random.normal(size=len(met)) * told.range_noise
+        seen = origins + ranges[:, None] * aimed
+        flat = np.hypot(*(seen - true[:, 3])[:, :2].T)
+        met &= (ranges > told.min_range) & (ranges < told.max_range) & (flat > told.own_body)
+        moved, known = self._truth(hits, other, share)
+        noise = random.normal(size=len(met)) * 6
+        kept = met & (random.random(len(met)) < told.keep)
+        points = Points(
+            xyz=to_map(self.drive.estimated[number], to_sensor(true, seen)),
+            moved=moved,
+            known=known,
+            surface=hits.surface,
+            intensity=np.round(hits.albedo * 200 + noise).clip(0, 255).astype(np.float32),
+            scan=np.full(len(met), number, dtype=np.int32),
+            time=start + turn.share / told.rate,
+        )
+        return points.take(kept).filtered(told.scan_voxel)
+
+    def _truth(
+        self, hits: Hits, other: Hits, share: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Say which rays meet what changes its place, and for which that can be told.
+
+        A range between two things is there because of both: it moved if either did, but where
+        it nearly is that of the one that stands.
+        """
+        # `STATIC` is -1: the last of these.
+        changes = np.append(self.movers.changes_place, False)
+        vague = np.append(~self.movers.changes_place, False)
+        between = share > 0
+        first, second = changes[hits.owner], changes[other.owner] & between
+        told_by = np.where(first, 1 - share, 0) + np.where(second, share, 0)
+        unclear = (first | second) & (told_by < _CLEAR)
+        unclear |= hits.mirrored | vague[hits.owner]
+        unclear |= between & (other.mirrored | vague[other.owner])
+        return first | second, ~unclear
+
+    def _cast(
+        self,
+        number: int,
+        turn: Sweep,
+        rays: tuple[NDArray[np.float64], NDArray[np.float64]],
+        movers: bool,
+        random: np.random.Generator,
+    ) -> tuple[Hits, Hits]:
+        """Return what each ray meets, and what its other half meets where it may be on an edge."""
+        told, (origins, aimed) = self.parameters, rays
+        start, true = float(self.drive.times[number]), self.drive.true[number]
+        offset = (self.movers.places(start) - true[:, 3]) @ true[:, :3]
+        # A turning sensor meets each mover when it looks there.
+        azimuth = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1
+        reach = told.max_range if movers else 0.0
+        target = self.movers.target(start + azimuth / told.rate, true[:, 3], reach)
+        noisy = _unit(aimed + random.normal(size=aimed.shape) * np.radians(told.angle_noise))
+        halves = np.flatnonzero(random.random(len(aimed)) < told.mixed)
+        spread = random.normal(size=(len(halves), 3)) * np.radians(told.beam)
+        hits = self.caster.cast(
+            np.concatenate([origins, origins[halves]]),
+            np.concatenate([noisy, _unit(noisy[halves] + spread)]),
+            target,
+            random,
+        )
+        own = np.arange(len(aimed))
+        other = own.copy()
+        other[halves] = len(aimed) + np.arange(len(halves))
+        return hits.of(own), hits.of(other)
+
+    def _returned(self, hits: Hits, random: np.random.Generator) -> NDArray[np.bool_]:
+        """Say which rays return: not those that are lost at random, grazed, dark or far."""
+        told = self.parameters
+        distance = np.where(np.isfinite(hits.distance), hits.distance, 1e6)
+        near = np.minimum(1.0, (0.25 * told.max_range / np.maximum(distance, 0.1)) ** 2)
+        signal = told.sensitivity * hits.albedo * hits.cosine * near
+        chance = np.minimum(1.0, signal / _FULL_SIGNAL) * (1 - told.dropouts)
+        returned: NDArray[np.bool_] = random.random(len(distance)) < chance
+        return returned & np.isfinite(hits.distance)
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    unit: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return unit
+
+
+def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[SimulatedScan]:
+    """Yield the scans of the map one by one, before the map's own voxel filter.
+
+    Parameters
+    ----------
+    parameters : MeshParameters
+    static : bool, optional
+        Whether to cast all rays once more for what stands alone; otherwise that is left empty.
+    """
+    recording = Recording(parameters)
+    for number, start in enumerate(recording.drive.times):
+        points = recording.scan(number)
+        alone = recording.scan(number, movers=False) if static else points.take(np.array([], int))
+        yield SimulatedScan(
+            number=number,
+            start=float(start),
+            returns=points.returns(),
+            static_returns=alone.returns(),
+            true_pose=recording.drive.true_in_map[number],
+            estimated_pose=recording.drive.estimated[number],
+        )
+
+
+def simulate_meshes(parameters: MeshParameters) -> MeshMap:
+    """Record a scene and make the map.
+
+    Parameters
+    ----------
+    parameters : MeshParameters
+
+    Returns
+    -------
+    MeshMap
+        The same for the same parameters, on one machine.
+
+    Raises
+    ------
+    MissingPackageError
+        When Open3D is not installed.
+    ConfigurationError
+        When the sensor sees nothing.
+    """
+    recording = Recording(parameters)
+    parts = [recording.scan(number) for number in range(len(recording.drive.times))]
+    points = Points.joined(parts).filtered(parameters.voxel)
+    if not len(points):
+        raise ConfigurationError(
+            "simulate: expected something within the sensor's range, found nothing from "
+            f"min_range {parameters.min_range:g} to max_range {parameters.max_range:g} m"
+        )
+    return MeshMap(parameters, points, recording.drive.estimated, recording.drive.true_in_map)

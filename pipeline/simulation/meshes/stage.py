@@ -1,0 +1,175 @@
+"""The stage: all that stands still, and where one can go, gathered while a scene is built."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
+from pipeline.simulation.shapes import Surface
+
+T = TypeVar("T")
+
+
+class Matter(IntEnum):
+    """What a ray does that meets a triangle."""
+
+    SOLID = 0
+    GLASS = 1
+    MIRROR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Triangles of one matter, with what each of them is made of.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    surface : (t,) uint8 array
+        `Surface` of each triangle.
+    albedo : (t,) float32 array
+        Share of light that each triangle returns.
+    """
+
+    mesh: Mesh
+    surface: NDArray[np.uint8]
+    albedo: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """A rectangle that one can walk on, its height aside: x0, y0, x1, y1."""
+
+    bounds: tuple[float, float, float, float]
+    height: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """A seat: where it is, the height of the floor, where one looks, its height above the floor."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    height: float = 0.45
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """A door that opens and closes: its hinge, the direction of the closed leaf, width, height."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    width: float = 0.9
+    height: float = 2.05
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """A way for wheels: (n, 3) corners on the ground, and what drives there."""
+
+    line: NDArray[np.float64]
+    kinds: tuple[str, ...]
+    speed: tuple[float, float]
+    closed: bool = False
+
+
+def level(
+    height: float,
+) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+    """Return a floor that is flat."""
+    return lambda x, y: np.full(np.shape(x), height)
+
+
+@dataclass(slots=True)
+class Stage:
+    """A scene while it is built, and afterwards.
+
+    Attributes
+    ----------
+    random : numpy.random.Generator
+        What furnishes it.
+    floors : list of Floor
+        Where people may walk, if nothing stands there.
+    links : list of (n, 3) float64 array
+        Ways that join floors, such as stairs.
+    seats, doors, lanes : list
+        Where people sit, what they open, and where wheels go.
+    queue : (n, 3) float64 array, optional
+        Slots of a queue, the counter first.
+    robot_lane : Lane, optional
+        Where the sensor drives; without one it goes where people go.
+    """
+
+    random: np.random.Generator
+    floors: list[Floor] = field(default_factory=list)
+    links: list[NDArray[np.float64]] = field(default_factory=list)
+    seats: list[Seat] = field(default_factory=list)
+    doors: list[Door] = field(default_factory=list)
+    lanes: list[Lane] = field(default_factory=list)
+    queue: NDArray[np.float64] | None = None
+    robot_lane: Lane | None = None
+    _parts: list[tuple[Mesh, Surface, float, Matter]] = field(default_factory=list)
+
+    def mesh(
+        self,
+        mesh: Mesh,
+        surface: Surface,
+        albedo: float | None = None,
+        matter: Matter = Matter.SOLID,
+    ) -> None:
+        """Add triangles of one kind; their albedo is drawn if it is not given."""
+        if albedo is None:
+            albedo = float(self.random.uniform(0.12, 0.8))
+        self._parts.append((mesh, surface, albedo, matter))
+
+    def boxes(
+        self,
+        rows: Rows,
+        surface: Surface,
+        at: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+        albedo: float | None = None,
+        matter: Matter = Matter.SOLID,
+    ) -> None:
+        """Add boxes (middle and lengths), placed at x, y, z and turned by a yaw."""
+        self.mesh(boxes(rows).placed(*at), surface, albedo, matter)
+
+    def block(
+        self,
+        low: ArrayLike,
+        high: ArrayLike,
+        surface: Surface,
+        albedo: float | None = None,
+        matter: Matter = Matter.SOLID,
+    ) -> None:
+        """Add one box from its lowest to its highest corner."""
+        lower, upper = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        row = np.concatenate([(lower + upper) / 2, upper - lower])
+        self.mesh(boxes(row), surface, albedo, matter)
+
+    def pick(self, things: Sequence[T]) -> T:
+        """Draw one of some things."""
+        return things[int(self.random.integers(len(things)))]
+
+    def body(self, matter: Matter) -> Body:
+        """Return all triangles of one matter."""
+        parts = [part for part in self._parts if part[3] is matter]
+        sizes = [len(mesh.triangles) for mesh, *_ in parts]
+        surfaces = np.array([surface for _, surface, *_ in parts], dtype=np.uint8)
+        albedos = np.array([albedo for _, _, albedo, _ in parts], dtype=np.float32)
+        return Body(
+            Mesh.joined([mesh for mesh, *_ in parts]),
+            np.repeat(surfaces, sizes),
+            np.repeat(albedos, sizes),
+        )
+
+    def ground(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the height of the first floor at places."""
+        return self.floors[0].height(x, y)

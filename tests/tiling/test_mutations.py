@@ -1,0 +1,85 @@
+"""Small seeded attacks: whatever becomes of a file's bytes, it is read in full or refused.
+
+Each format's file is damaged in many ways: bits flipped, bytes put in, taken out, doubled, cut off,
+and numbers of the header made others. It ends in a success that gives as many points as the file
+then counts, or in one short line; never in a traceback, a screen of text or a heap of memory.
+"""
+
+import random
+import re
+import tracemalloc
+
+import pytest
+
+from tests.tiling.test_leftover import COUNT, MAKERS
+from tiling.errors import TilingError
+from tiling.formats import open_map
+from tiling.formats.collection import MapCollection
+
+TIMES = 60
+MOST_BYTES = 200e6
+
+
+def mutated(content: bytes, chance: random.Random) -> bytes:
+    edited = bytearray(content)
+    end = len(edited) if chance.random() < 0.4 else min(len(edited), 400)
+    at = chance.randrange(end)
+    kind = chance.choice(["flip", "insert", "delete", "cut", "double", "number", "count"])
+    if kind == "flip":
+        edited[at] ^= 1 << chance.randrange(8)
+    elif kind == "insert":
+        edited[at:at] = chance.choice([b"\xff" * 4, b"\0" * 8, b"9", b"\n", b"\x1b[31m"])
+    elif kind == "delete":
+        del edited[at : at + chance.randint(1, 40)]
+    elif kind == "cut":
+        del edited[at:]
+    elif kind == "double":
+        edited[at:at] = edited[at : at + chance.randint(1, 300)]
+    elif kind == "number":
+        edited[at : at + 4] = chance.choice([0, 1, 2**31 - 1, 2**32 - 1]).to_bytes(4, "little")
+    else:
+        digits = [each.span() for each in re.finditer(rb"\d+", bytes(edited[:400]))]
+        if digits:
+            start, stop = chance.choice(digits)
+            edited[start:stop] = chance.choice([b"0", b"1", b"39", b"41", b"9" * 12])
+    return bytes(edited)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_damaged_file_is_read_in_full_or_refused(tmp_path, name):
+    content = MAKERS[name](COUNT)
+    path = tmp_path / name
+    chance = random.Random(name)
+    tracemalloc.start()
+    try:
+        for _ in range(TIMES):
+            path.write_bytes(mutated(content, chance))
+            try:
+                collection = MapCollection([path])
+                found = sum(len(batch.xyz) for _, batch in collection.batches(7))
+                assert found == collection.point_count
+                assert all(len(note) < 400 for note in open_map(path).description.notes)
+            except TilingError as error:
+                message = str(error)
+                assert len(message) < 400, message
+                assert message.isprintable(), message
+        assert tracemalloc.get_traced_memory()[1] < MOST_BYTES
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("file", ["npz__*", "parquet__*7d*", "parquet__*db*", "ply__*"])
+def test_attacks_are_refused_in_one_short_line(shared_data, file):
+    (path,) = (shared_data / "cases/attack").glob(file)
+    with pytest.raises(TilingError) as raised:
+        sum(len(batch.xyz) for _, batch in MapCollection([path]).batches())
+    assert len(str(raised.value)) < 400
+    assert str(raised.value).isprintable()
+
+
+def test_names_of_files_cannot_write_to_a_terminal(tmp_path):
+    path = tmp_path / "map\x1b]0;title\x07\n\u202e.pcd"
+    path.write_bytes(b"\x1b[31mno map")
+    with pytest.raises(TilingError) as raised:
+        open_map(path)
+    assert str(raised.value).isprintable()

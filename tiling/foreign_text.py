@@ -1,0 +1,39 @@
+"""Text that comes from files or their names, made fit for one line of a terminal or a log."""
+
+LONGEST_FOREIGN = 200
+"""Characters of a name, or of what a file holds, that a message quotes."""
+
+LONGEST_MESSAGE = 399
+"""Characters of a whole message about a file."""
+
+LONGEST_LINE = 4_000
+"""Characters of any line that is said, such as one about several files."""
+
+_CUT = "..."
+
+
+def printable(text: object, most: int = LONGEST_FOREIGN) -> str:
+    """Return text of one line, without control characters, cut where it is too long.
+
+    Escape sequences, line ends, marks that turn the direction of writing, and bytes of file names
+    that are no text become question marks.
+
+    Parameters
+    ----------
+    text : object
+        Of which `str` is taken.
+    most : int
+        Characters of the result.
+    """
+    line = str(text)
+    if len(line) > most:
+        line = line[: most - len(_CUT)] + _CUT
+    return "".join(c if c.isprintable() else "?" for c in line)
+
+
+def printable_path(path: object) -> str:
+    """Return a path as `printable` does; of one that is too long the end, which tells most."""
+    line = str(path)
+    if len(line) > LONGEST_FOREIGN:
+        line = _CUT + line[len(_CUT) - LONGEST_FOREIGN :]
+    return printable(line)

@@ -1,0 +1,64 @@
+"""What lies behind the last point that a header counts.
+
+A count that is too low, or zero, leaves points behind that nobody would miss. So bytes there are
+refused as soon as one more point has room in them; less than that, and padding, is left out and
+noted.
+"""
+
+from pathlib import Path
+from typing import BinaryIO
+
+from tiling.errors import MapFormatError
+
+PADDING = b"\0\t\n\r "
+"""Bytes that writers fill a file up with, to the end of a page or of a line."""
+
+_BLOCK = 1 << 20
+
+
+def check_leftover(
+    file: BinaryIO, start: int, stop: int, record_size: int, path: Path, counted: str
+) -> tuple[str, ...]:
+    """Refuse bytes that could be points, and note those that cannot.
+
+    Parameters
+    ----------
+    file : binary file
+        Able to seek.
+    start, stop : int
+        The bytes that nothing in the header speaks for.
+    record_size : int
+        Bytes of a point, or of the smallest.
+    path : Path
+        The file, for messages.
+    counted : str
+        What the header counts, such as `"1000 points"`.
+
+    Returns
+    -------
+    tuple of str
+        A note on what is left out, if there is anything.
+
+    Raises
+    ------
+    MapFormatError
+        When there is room for a point, and something other than padding in it.
+    """
+    size = stop - start
+    if size <= 0:
+        return ()
+    room = size // max(record_size, 1)
+    if room and not _is_padding(file, start, stop):
+        more = f"{size} bytes behind them, room for {room} more of {record_size} bytes"
+        raise MapFormatError(path, f"no points but the {counted} counted", more, f"byte {start}")
+    return (f"The {size} bytes after the last point are left out.",)
+
+
+def _is_padding(file: BinaryIO, start: int, stop: int) -> bool:
+    file.seek(start)
+    left = stop - start
+    while left and (block := file.read(min(_BLOCK, left))):
+        if block.strip(PADDING):
+            return False
+        left -= len(block)
+    return True
