@@ -159,7 +159,7 @@ def find_clusters(job: Job, observer: StageObserver, fit: Fit) -> None:
         observer.advance(1)
     clusters = fit(xyz, parameters)
     with atomic_file(job.root / CLUSTERS_FILE) as temporary, temporary.open("wb") as stream:
-        np.save(stream, clusters.centroids)
+        np.save(stream, clusters.centroids, allow_pickle=False)
 
 
 def _surveys(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Iterator[Survey]:

@@ -111,7 +111,7 @@ class Job:
     @cached_property
     def clusters(self) -> Clusters:
         """The model of the whole map; there once it is fitted."""
-        return Clusters(np.load(self.root / CLUSTERS_FILE))
+        return Clusters(np.load(self.root / CLUSTERS_FILE, allow_pickle=False))
 
     @property
     def needs_classes(self) -> bool:

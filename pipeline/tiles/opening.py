@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +11,7 @@ from pipeline.configuration import Configuration
 from pipeline.map_state import MapState
 from pipeline.progress import StageObserver
 from pipeline.tiles.job import JOB_FILE, Job
-from pipeline.tiles.work import remove_work
+from pipeline.tiles.work import is_self_contained, read_json, remove_work
 
 
 def open_job(
@@ -40,14 +41,11 @@ def open_job(
     observer : StageObserver
         Told when work of another map or configuration is given up.
     """
-    work = work.resolve()  # workers may have another current folder
+    work = work.parent.resolve() / work.name  # workers may have another current folder
     job = Job(work, job_key(digest, configuration), tuple(paths), state, configuration)
-    if work.exists():
-        try:
-            stored = json.loads((work / JOB_FILE).read_text(encoding="utf-8"))["key"]
-        except (OSError, ValueError, KeyError):
-            stored = None
-        if fresh or stored != job.key:
+    if os.path.lexists(work):
+        stored = read_json(work / JOB_FILE) if is_self_contained(work) else None
+        if fresh or not isinstance(stored, dict) or stored.get("key") != job.key:
             if not fresh:
                 observer.warn(
                     f"{work}: holds the work of another map or configuration; starting over"

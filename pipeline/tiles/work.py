@@ -6,7 +6,9 @@ taken for this one's. So a run killed at any moment goes on with the tasks that 
 """
 
 import json
+import os
 import shutil
+import stat
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -77,13 +79,17 @@ class WorkFolder:
     def report(self, stage: str, task: int) -> TaskReport | None:
         """Return what a finished task reported, None if it is not finished."""
         try:
-            marker = json.loads(self.path(stage, task, ".done").read_text(encoding="utf-8"))
+            marker = read_json(self.path(stage, task, ".done"))
             if marker["key"] != self.key:
                 return None
             report = marker["report"]
             return TaskReport(report["points"], tuple(report["counts"]), report["seconds"])
-        except (FileNotFoundError, ValueError, KeyError, TypeError):
+        except (KeyError, TypeError):
             return None
+
+    def forget(self, stage: str, task: int) -> None:
+        """Let a task be done again."""
+        self.path(stage, task, ".done").unlink(missing_ok=True)
 
     def finish(self, stage: str, task: int, report: TaskReport) -> None:
         """Mark a task as finished; its files are complete."""
@@ -109,13 +115,53 @@ class WorkFolder:
             temporary.write_text(json.dumps(value), encoding="utf-8")
 
 
+def read_json(path: Path) -> Any:
+    """Return what a file of a work folder holds; None where it is not there, or is not JSON."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
+def is_self_contained(work: Path) -> bool:
+    """Tell whether a work folder holds folders and files of its own only.
+
+    One that came from elsewhere may hold links in their places, through which tasks would write
+    outside of it, and pipes that nothing comes out of.
+    """
+    waiting = [work]
+    while waiting:
+        folder = waiting.pop()
+        if folder.is_symlink() or not folder.is_dir():
+            return False
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(folder / entry.name)
+                elif not _is_only_here(entry.stat(follow_symlinks=False)):
+                    return False
+    return True
+
+
+def _is_only_here(status: os.stat_result) -> bool:
+    return stat.S_ISREG(status.st_mode) and status.st_nlink <= 1
+
+
 def remove_work(work: Path) -> None:
     """Remove a work folder; one that is half removed is never taken for work again."""
     removed = work.with_name(REMOVED_FOLDER)
-    shutil.rmtree(removed, ignore_errors=True)
-    if work.exists():
+    _remove(removed)
+    if os.path.lexists(work):
         work.rename(removed)
-        shutil.rmtree(removed, ignore_errors=True)
+        _remove(removed)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder with all that is in it, or a link or file in its place."""
+    if folder.is_symlink() or folder.is_file():
+        folder.unlink()
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def stages_begun(root: Path) -> Iterator[tuple[str, int, int]]:
