@@ -21,7 +21,13 @@ import time
 from collections import Counter
 from pathlib import Path
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
+COMMAND = [
+    sys.executable,
+    "-P",
+    "-c",
+    "from pipeline.cli import leave_at_once; leave_at_once()",
+    "run",
+]
 RESULTS = ("static.pcd", "dynamic.pcd", "labels.parquet")
 WORK = ".dynahull-work"
 

@@ -3,6 +3,7 @@
 import logging
 import re
 import shlex
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,9 +39,10 @@ JOB_ENVIRONMENT = {
     "DASK_DISTRIBUTED__WORKER__MEMORY__TARGET": "False",
     "DASK_DISTRIBUTED__WORKER__MEMORY__SPILL": "False",
     "DASK_DISTRIBUTED__WORKER__MEMORY__PAUSE": "False",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "0.95",
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "60s",
 }
-"""Set in the job of a worker: what `local_workers` sets in its process."""
+"""Set in the job of a worker: what a run's own workers have set in their processes."""
 
 
 class OnCluster(OnDask):
@@ -273,6 +275,6 @@ def worker_keywords(
         keywords["interface"] = parameters.interface
     if parameters.local_directory is not None:
         keywords["local_directory"] = shlex.quote(parameters.local_directory)
-    if parameters.python is not None:
-        keywords["python"] = shlex.quote(parameters.python)
+    # Without -P the folder that a job begins in would come before what is installed.
+    keywords["python"] = f"{shlex.quote(parameters.python or sys.executable)} -P"
     return keywords

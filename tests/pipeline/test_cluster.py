@@ -104,7 +104,7 @@ class TestScriptOfTheRun:
         folder = map_file.parent / "out"
         assert lines[-3:-1] == ["module load python", "umask 027"]
         assert shlex.split(lines[-1]) == [
-            "exec", sys.executable, "-m", "pipeline", "run", str(map_file), "-o", str(folder),
+            "exec", sys.executable, "-P", "-m", "pipeline", "run", str(map_file), "-o", str(folder),
             "-c", f"{folder}/.dynahull-cluster/config.yaml", "--fresh",
         ]  # fmt: skip
         assert sum(f"{folder}/.dynahull-cluster/logs" in line for line in lines) == 2
@@ -132,7 +132,7 @@ class TestScriptOfTheRun:
         first, second, run = shell.split("; ")
         assert (first, second) == ("module load python", "umask 027")
         assert shlex.split(run)[:6] == [
-            "exec", sys.executable, "-m", "pipeline", "run", str(map_file),
+            "exec", sys.executable, "-P", "-m", "pipeline", "run", str(map_file),
         ]  # fmt: skip
 
     def test_leaves_nothing_behind(self, map_file):
