@@ -34,6 +34,9 @@ _LOOPBACK = "127.0.0.1:0"
 _SECRETS = ("_job_ca_file", "_job_cert", "_job_key")
 """Where dask-jobqueue's cluster has the temporary files of the keys that were made for it."""
 
+_SECRET_FILES = ".dask-jobqueue.worker.*"
+"""How it calls them."""
+
 JOB_ENVIRONMENT = {
     **ONE_THREAD,
     "DASK_DISTRIBUTED__WORKER__MEMORY__TARGET": "False",
@@ -224,6 +227,8 @@ def _cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -
     job = worker_job(parameters, output)
     shared = cluster_folder(output)
     shared.mkdir(parents=True, exist_ok=True)
+    for left in shared.glob(_SECRET_FILES):  # by a run that was killed: no other is at work here
+        left.unlink(missing_ok=True)
     options: dict[str, Any] = {"dashboard_address": parameters.dashboard or _LOOPBACK}
     if parameters.scheduler_interface is not None:
         options["interface"] = parameters.scheduler_interface

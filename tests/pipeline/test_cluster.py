@@ -180,6 +180,7 @@ class TestScriptOfAWorker:
             "cluster.interface=ib0",
         )  # fmt: skip
         words = script.replace("''", "'")
+        assert f"{sys.executable} -P -m distributed" in words  # not of the folder it begins in
         assert " --nthreads 1 --memory-limit 2.00GiB --nworkers 3 --nanny" in words
         assert "--lifetime 32400s --lifetime-stagger 1800s" in words
         assert "--dashboard-address 127.0.0.1:0" in words
