@@ -330,7 +330,7 @@ def start_up() -> None:
         seconds = [
             float(
                 subprocess.run(
-                    [sys.executable, "-c", program],
+                    [sys.executable, "-P", "-c", program],
                     env=environment,
                     check=True,
                     capture_output=True,

@@ -59,7 +59,7 @@ def main() -> None:
 def in_memory(path: Path, threads: str) -> float:
     """Return the wall time of the program, in seconds."""
     begun = perf_counter()
-    subprocess.run([sys.executable, "-c", IN_MEMORY, str(path), threads], check=True)
+    subprocess.run([sys.executable, "-P", "-c", IN_MEMORY, str(path), threads], check=True)
     return perf_counter() - begun
 
 

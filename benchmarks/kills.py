@@ -23,7 +23,13 @@ from pathlib import Path
 from pipeline.errors import WorkError
 from pipeline.tiles.sealed import read_sealed
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
+COMMAND = [
+    sys.executable,
+    "-P",
+    "-c",
+    "from pipeline.cli import leave_at_once; leave_at_once()",
+    "run",
+]
 RESULTS = ("static.pcd", "dynamic.pcd", "labels.parquet")
 WORK = ".dynahull-work"
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks.density import machine
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()"]
+COMMAND = [sys.executable, "-P", "-c", "from pipeline.cli import leave_at_once; leave_at_once()"]
 _EVERY = 0.1
 
 

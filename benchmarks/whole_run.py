@@ -19,7 +19,13 @@ from time import perf_counter
 
 from benchmarks.density import machine
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
+COMMAND = [
+    sys.executable,
+    "-P",
+    "-c",
+    "from pipeline.cli import leave_at_once; leave_at_once()",
+    "run",
+]
 ONE_TILE = ["--set", "tiling.max_points=100000000"]
 
 

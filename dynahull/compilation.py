@@ -1,15 +1,14 @@
 """Compiled code is kept for a machine: made once, by whoever comes first, for every later process.
 
 The code lies in a folder of its own, named after the sources it was made from: an upgrade or an
-edit never meets stale code, and two installations never overwrite each other's. Who comes first
+edit never meets stale code, and two installations never overwrite each other's. Nobody else can
+write there, as reading it runs it. Who comes first
 compiles under a lock, and says so; the others wait for it and read what it wrote. Where no folder
 can be written, each process compiles.
 """
 
 import hashlib
 import logging
-import os
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -18,6 +17,8 @@ from typing import Any
 
 import numba
 from llvmlite import binding
+
+from dynahull.private_folder import private_folder
 
 log = logging.getLogger("dynahull")
 
@@ -61,8 +62,8 @@ def compiling(what: str, sources: Path) -> Iterator[Path | None]:
     folder = cache_folder(sources)
     if folder is None:
         log.warning(
-            "Compiling %s (about 15 s). No cache folder can be written, so this "
-            "happens in every process; set NUMBA_CACHE_DIR to a writable folder to avoid it.",
+            "Compiling %s (about 15 s). No private folder can be written, so this "
+            "happens in every process; set NUMBA_CACHE_DIR to a folder of your own to avoid it.",
             what,
         )
         yield None
@@ -91,27 +92,12 @@ def _marker(folder: Path) -> Path:
 
 
 def cache_folder(sources: Path) -> Path | None:
-    """Return the first folder that can be written, or None.
+    """Return the folder for the compiled code of some sources, or None where there is none.
 
-    They are `$NUMBA_CACHE_DIR`, the user's cache and the system's folder for temporary files.
+    It is in the first of `$NUMBA_CACHE_DIR`, the user's cache and the system's folder for temporary
+    files that only this user can write: numba calls what the code that it reads says.
     """
-    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    temporary = Path(tempfile.gettempdir()) / f"dynahull-{os.getuid()}"
-    parents = [user_cache / "dynahull", temporary]
-    if numba.config.CACHE_DIR:
-        parents.insert(0, Path(numba.config.CACHE_DIR) / "dynahull")
-    for parent in parents:
-        folder = parent / _fingerprint(sources)
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            # Code is loaded from here, so nobody else may have put it there.
-            if folder.stat().st_uid != os.getuid():
-                continue
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
-        except OSError:
-            continue
-    return None
+    return private_folder(_fingerprint(sources), str(numba.config.CACHE_DIR))
 
 
 @contextmanager

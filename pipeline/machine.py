@@ -4,15 +4,29 @@ import ctypes
 import os
 import resource
 import sys
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
+from pipeline.control_groups import memory_left, processors
 
-def available_cores(wanted: int | Literal["auto"]) -> int:
-    """Return the number of workers: as asked for, or one for each core this process may use."""
-    return len(os.sched_getaffinity(0)) if wanted == "auto" else wanted
+
+def available_cores(wanted: int | Literal["auto"], root: Path = Path("/")) -> int:
+    """Return the number of workers: as asked for, or one for each core this process may use.
+
+    A core counts as far as the quota of a control group goes.
+
+    Parameters
+    ----------
+    wanted : int or "auto"
+    root : Path
+        Of the file system in which `proc` and `sys` are looked for.
+    """
+    if wanted != "auto":
+        return wanted
+    cores = len(os.sched_getaffinity(0))
+    quota = processors(root)
+    return cores if quota is None else min(cores, quota)
 
 
 def peak_memory() -> int:
@@ -41,34 +55,20 @@ def give_memory_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def available_memory() -> int:
-    """Return the bytes that processes may still take: of the machine, or of the control group."""
+def available_memory(root: Path = Path("/")) -> int:
+    """Return the bytes that processes may still take: of the machine, or of a control group.
+
+    Parameters
+    ----------
+    root : Path
+        Of the file system in which `proc` and `sys` are looked for.
+    """
     free = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for line in _lines(Path("/proc/meminfo")):
+    for line in _lines(root / "proc/meminfo"):
         if line.startswith("MemAvailable:"):
             free = int(line.split()[1]) * 1024
-    for limit, used, cache in _control_group():
-        # The page cache counts as used there, and gives way.
-        free = min(free, limit - max(used - cache, 0))
-    return max(free, 0)
-
-
-def _control_group() -> Iterator[tuple[int, int, int]]:
-    """Yield limit, use, and page cache of the control group of this process, if it has a limit."""
-    for line in _lines(Path("/proc/self/cgroup")):
-        _, controllers, place = line.split(":", 2)
-        if controllers == "":
-            root, names = Path("/sys/fs/cgroup"), ("memory.max", "memory.current", "file")
-        elif "memory" in controllers.split(","):
-            root = Path("/sys/fs/cgroup/memory")
-            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_cache")
-        else:
-            continue
-        folder = root / place.lstrip("/")
-        limit, used = (_lines(folder / name) for name in names[:2])
-        statistics = dict(each.split() for each in _lines(folder / "memory.stat"))
-        if limit and used and limit[0].isdigit():
-            yield int(limit[0]), int(used[0]), int(statistics.get(names[2], 0))
+    left = memory_left(root)
+    return free if left is None else min(free, left)
 
 
 def _lines(path: Path) -> list[str]:

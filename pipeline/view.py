@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dynahull.labels import Label
 from pipeline.errors import MissingViewerError, OutputError
 from pipeline.result import ResultPoints, read_result
+from pipeline.temporary import temporary_folder
 
 LABEL_COLOURS = {
     Label.STATIC: (125, 140, 155),
@@ -70,10 +71,10 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
             raise OutputError(f"{recording}: expected a folder to write into, found none")
         write_recording(rerun, points, folder.name, recording)
         return
-    with TemporaryDirectory(prefix="dynahull-view-") as temporary:
+    with TemporaryDirectory(prefix="view-", dir=temporary_folder()) as temporary:
         file = Path(temporary) / "result.rrd"
         write_recording(rerun, points, folder.name, file)
-        ended = subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False)
+        ended = subprocess.run([sys.executable, "-P", "-m", "rerun", str(file)], check=False)
     if ended.returncode:
         raise MissingViewerError(
             f"Rerun's viewer ended with code {ended.returncode}, see above; --save FILE.rrd "

@@ -16,9 +16,9 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import (
     BATCH,
-    GROWING,
     check_written,
     finish_parts,
+    growing_outputs,
     plan_parts,
     write_stream,
 )
@@ -72,12 +72,12 @@ def write_maps(
     if job is not None and executor is not None:
         in_parts = [index for index, each in enumerate(collection.readers) if each.writes_parts]
         # They grow in the work folder, where a run that goes on finds what is done of them.
-        growing = [tuple(job.root / GROWING / name for name in each) for each in names.by_file]
-        plan = plan_parts(job, in_parts, growing)
+        plan = plan_parts(job, in_parts)
         exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
         finish_parts(job, plan)
         for index in in_parts:
-            for grown, place in zip(growing[index], outputs[index], strict=True):
+            growing = growing_outputs(job, index, len(outputs[index]))
+            for grown, place in zip(growing, outputs[index], strict=True):
                 grown.replace(place)
     ahead = executor is not None and executor.workers > 1
     streams = sorted(set(range(len(outputs))) - set(in_parts))

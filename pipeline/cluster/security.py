@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cluster.parameters import TLSParameters
-from pipeline.errors import ConfigurationError, MissingPackageError
+from pipeline.errors import ConfigurationError
 
 
 def cluster_security(tls: TLSParameters) -> Any:
@@ -14,22 +14,14 @@ def cluster_security(tls: TLSParameters) -> Any:
     ------
     ConfigurationError
         When a file is not there.
-    MissingPackageError
-        When a key is to be made, and the optional package for it is not installed.
     """
     if tls.ca_file is not None:
         return _of_files(tls)
     if not tls.enabled:
         return None
-    from distributed import Security  # noqa: PLC0415 (a second of import time)
+    from pipeline.tiles.run_security import RunSecurity  # noqa: PLC0415 (a second of import time)
 
-    try:
-        return Security.temporary()
-    except ImportError:
-        raise MissingPackageError(
-            "TLS without files makes a key, which needs the optional package cryptography: "
-            "pip install 'dynahull-pipeline[cluster]'"
-        ) from None
+    return RunSecurity.temporary()
 
 
 def scheduler_security(tls: TLSParameters, address: str) -> Any:

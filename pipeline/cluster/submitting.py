@@ -133,7 +133,7 @@ def _script(
     parameters = configuration.cluster
     command = [
         parameters.python or sys.executable,
-        *("-m", "pipeline", "run"),
+        *("-P", "-m", "pipeline", "run"),
         *(str(Path(each).absolute()) for each in maps),
         *("-o", str(folder.resolve())),
         *("-c", str(cluster_folder(folder).resolve() / CONFIGURATION_FILE)),

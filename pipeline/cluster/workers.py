@@ -3,6 +3,7 @@
 import logging
 import re
 import shlex
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,14 +34,18 @@ _LOOPBACK = "127.0.0.1:0"
 _SECRETS = ("_job_ca_file", "_job_cert", "_job_key")
 """Where dask-jobqueue's cluster has the temporary files of the keys that were made for it."""
 
+_SECRET_FILES = ".dask-jobqueue.worker.*"
+"""How it calls them."""
+
 JOB_ENVIRONMENT = {
     **ONE_THREAD,
     "DASK_DISTRIBUTED__WORKER__MEMORY__TARGET": "False",
     "DASK_DISTRIBUTED__WORKER__MEMORY__SPILL": "False",
     "DASK_DISTRIBUTED__WORKER__MEMORY__PAUSE": "False",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "0.95",
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "60s",
 }
-"""Set in the job of a worker: what `local_workers` sets in its process."""
+"""Set in the job of a worker: what a run's own workers have set in their processes."""
 
 
 class OnCluster(OnDask):
@@ -222,6 +227,8 @@ def _cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -
     job = worker_job(parameters, output)
     shared = cluster_folder(output)
     shared.mkdir(parents=True, exist_ok=True)
+    for left in shared.glob(_SECRET_FILES):  # by a run that was killed: no other is at work here
+        left.unlink(missing_ok=True)
     options: dict[str, Any] = {"dashboard_address": parameters.dashboard or _LOOPBACK}
     if parameters.scheduler_interface is not None:
         options["interface"] = parameters.scheduler_interface
@@ -273,6 +280,6 @@ def worker_keywords(
         keywords["interface"] = parameters.interface
     if parameters.local_directory is not None:
         keywords["local_directory"] = shlex.quote(parameters.local_directory)
-    if parameters.python is not None:
-        keywords["python"] = shlex.quote(parameters.python)
+    # Without -P the folder that a job begins in would come before what is installed.
+    keywords["python"] = f"{shlex.quote(parameters.python or sys.executable)} -P"
     return keywords

@@ -7,7 +7,7 @@ is written beside it. No figure depends on how the maps are cut, to the last bit
 
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory, gettempdir
+from tempfile import TemporaryDirectory
 
 from dynahull.progress import Observer
 from pipeline.errors import DiskSpaceError, EvaluationError
@@ -27,6 +27,7 @@ from pipeline.evaluation.tiled_cloud import (
     cut_clouds,
 )
 from pipeline.resources import check_space
+from pipeline.temporary import temporary_folder
 from tiling.formats.collection import MapCollection
 
 _MORE_BYTES = 25
@@ -82,7 +83,7 @@ def evaluate(
             options.emd_points, counts["cleaned"], counts.get("truth") or counts["original"]
         )
     _check_disk([source.collection for source in sources.values()], inputs.cleaned)
-    with TemporaryDirectory(prefix="dynahull-evaluate-") as name:
+    with TemporaryDirectory(prefix="evaluate-", dir=temporary_folder()) as name:
         folder = Path(name)
         clouds = cut_clouds(sources, options.voxel, folder, observer)
         return _compare(clouds, inputs, options, folder, observer, picture)
@@ -141,7 +142,7 @@ def _check_disk(collections: list[MapCollection], cleaned: MapCollection) -> Non
     temporary = POINT_BYTES * sum(each.point_count for each in collections)
     temporary += _MORE_BYTES * max(each.point_count for each in collections)
     try:
-        check_space(Path(gettempdir()), temporary, 0, 0)
+        check_space(temporary_folder(), temporary, 0, 0)
     except DiskSpaceError as error:
         raise DiskSpaceError(f"{error} (TMPDIR names another folder)") from None
 

@@ -7,6 +7,7 @@ writing, and copies every array twice.
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -86,10 +87,24 @@ def _places(path: Path, stream: BinaryIO, names: Sequence[str]) -> list[_Place]:
     head = stream.readline()
     try:
         described = {name: place for name, *place in json.loads(head)}
-        wanted = [described[name] for name in names]
-        return [(len(head) + start, np.dtype(kind), shape) for kind, shape, start in wanted]
-    except (ValueError, KeyError, TypeError):
+        places = [_place(len(head), *described[name]) for name in names]
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise _damaged(path, names) from None
+    size = os.fstat(stream.fileno()).st_size
+    if any(start + kind.itemsize * math.prod(shape) > size for start, kind, shape in places):
+        raise _damaged(path, names)
+    return places
+
+
+def _place(head: int, kind: Any, shape: Any, start: Any) -> _Place:
+    """Return where an array lies; raise a `ValueError` where no array of ours is so described."""
+    if type(kind) is not str or np.dtype(kind).kind not in "biufc":  # no addresses of objects
+        raise ValueError(f"expected the type of numbers, found {kind!r}")
+    if type(shape) is not list or not all(type(each) is int for each in (start, *shape)):
+        raise ValueError(f"expected integers, found {start!r}, {shape!r}")
+    if min(start, *shape, 0) < 0:
+        raise ValueError(f"expected no negative numbers, found {start}, {shape}")
+    return head + start, np.dtype(kind), shape
 
 
 def _damaged(path: Path, names: Sequence[str]) -> WorkError:

@@ -5,17 +5,17 @@ Few tasks are in flight at a time, and none is kept once it is finished, so that
 thousand tiles holds no graph of itself.
 """
 
-import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from operator import length_hint
 from time import monotonic
 from typing import Any, Protocol
 
-from pipeline.tiles.fork_server import ONE_THREAD, START_METHOD, start_fork_server, stop_fork_server
+from pipeline.tiles.fork_server import start_fork_server, stop_fork_server
+from pipeline.tiles.local_dask import site_settings_aside, start_local_cluster
 from pipeline.tiles.work import TaskReport
 
 IN_FLIGHT_PER_WORKER = 2
@@ -76,11 +76,16 @@ class InProcess:
     def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
         """Do the tasks, here and now."""
         for number in numbers:
-            try:
-                outcome = _guarded(task, folder, number)
-            except OSError as error:
-                outcome = _failure(error)
-            yield number, outcome
+            yield number, self._outcome(task, folder, number)
+
+    def _outcome(self, task: Task, folder: str, number: int) -> Outcome:
+        for _ in range(RETRIES):
+            with suppress(OSError):
+                return _guarded(task, folder, number)
+        try:
+            return _guarded(task, folder, number)
+        except OSError as error:
+            return _failure(error)
 
 
 class Starting:
@@ -193,63 +198,21 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
     memory : int
         Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
     """
+    with site_settings_aside(), _fork_server():
+        # Not in that thread: what this one imports meanwhile would hold it up.
+        import_module("distributed")
+        with ExitStack() as cluster, ThreadPoolExecutor(1) as thread:
+
+            def start() -> Executor:
+                return OnDask(start_local_cluster(workers, memory, cluster))
+
+            yield Starting(workers, thread.submit(start))
+
+
+@contextmanager
+def _fork_server() -> Iterator[None]:
     start_fork_server()
-    # Not in that thread: what this one imports meanwhile would hold it up.
-    import_module("distributed")
     try:
-        with ExitStack() as stack, ThreadPoolExecutor(1) as thread:
-            yield Starting(workers, thread.submit(_start_workers, workers, memory, stack))
+        yield
     finally:
         stop_fork_server()
-
-
-def _start_workers(workers: int, memory: int, stack: ExitStack) -> Executor:
-    """Start workers that last as long as the stack."""
-    import dask  # noqa: PLC0415 (only where it is used)
-    from distributed import Client, LocalCluster, scheduler, worker  # noqa: PLC0415
-
-    # It tells how every process and connection comes and goes.
-    logging.getLogger("distributed").setLevel(logging.ERROR)
-    settings: dict[str, Any] = {
-        # Dask sets them in this process too, and does not take them back; a worker that is forked
-        # has those of the process that it is forked from.
-        "distributed.nanny.pre-spawn-environ": {} if START_METHOD == "forkserver" else ONE_THREAD,
-        "distributed.worker.multiprocessing-method": START_METHOD,
-        "distributed.worker.memory.target": False,
-        "distributed.worker.memory.spill": False,
-        "distributed.worker.memory.pause": False,
-        "distributed.admin.log-length": 1_000,
-        # They look at what tasks do a hundred times a second, and tell a page that is not shown.
-        "distributed.worker.profile.enabled": False,
-        "distributed.admin.tick.interval": "1s",
-        # By default they look twice a second at what that page would show, and ten times at memory.
-        "distributed.admin.system-monitor.interval": "10s",
-        "distributed.admin.system-monitor.disk": False,
-        "distributed.worker.memory.monitor-interval": "250ms",
-        # What the ports below would show: nothing.
-        "distributed.scheduler.http.routes": [],
-        "distributed.worker.http.routes": [],
-        "distributed.comm.timeouts.connect": "60s",
-    }
-    stack.enter_context(dask.config.set(settings))
-    cluster = LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        memory_limit=memory,
-        dashboard_address=None,
-        # Even without a dashboard it opens a port: any that is free, for runs side by side.
-        scheduler_kwargs={
-            "dashboard_address": "127.0.0.1:0",
-            "extensions": _without_spans(scheduler.DEFAULT_EXTENSIONS),
-        },
-        extensions=_without_spans(worker.DEFAULT_EXTENSIONS),
-        silence_logs=50,
-    )
-    stack.enter_context(cluster)
-    return OnDask(stack.enter_context(Client(cluster, set_as_default=False)))
-
-
-def _without_spans(extensions: Mapping[str, type]) -> dict[str, type]:
-    """Leave out what would keep a note of every task for pages that are not shown."""
-    return {name: extension for name, extension in extensions.items() if name != "spans"}

@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,6 +25,8 @@ from multiprocessing import forkserver, resource_tracker, util
 from pathlib import Path
 from threading import Thread
 from typing import Any
+
+from pipeline.temporary import socket_folder
 
 ONE_THREAD = dict.fromkeys(
     (
@@ -82,7 +85,9 @@ def start_fork_server() -> None:
     while _stopping:
         _stopping.pop().join()
     multiprocessing.get_context("forkserver").set_forkserver_preload([_PRELOADED])
-    with _environment(ONE_THREAD | {name: str(value) for name, (_, value) in _MALLOC.items()}):
+    variables = {name: str(value) for name, (_, value) in _MALLOC.items()}
+    variables["PYTHONSAFEPATH"] = "1"  # what lies in the current folder is not for us to import
+    with _own_temporary_files(), _environment(ONE_THREAD | variables):
         if has_one_thread():
             import_module(_PRELOADED)
             resource_tracker.ensure_running()  # which the server itself would start
@@ -90,6 +95,19 @@ def start_fork_server() -> None:
                 forkserver.ensure_running()
         else:
             forkserver.ensure_running()
+
+
+@contextmanager
+def _own_temporary_files() -> Iterator[None]:
+    """Let multiprocessing put what it makes in this block where the next run would find it.
+
+    Its own folder is made once a process, when it is first needed. Semaphores, which are made later
+    and lie elsewhere, are named after that of this process.
+    """
+    folder = socket_folder()
+    multiprocessing.current_process()._config["semprefix"] = f"/{folder.name}"  # type: ignore[attr-defined]
+    with _replaced(tempfile, "tempdir", str(folder)), _environment({"TMPDIR": str(folder)}):
+        yield
 
 
 def stop_fork_server() -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +14,7 @@ from pipeline.progress import StageObserver
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.sealed import read_sealed
 from pipeline.tiles.verifying import verify_work
-from pipeline.tiles.work import remove_work
+from pipeline.tiles.work import is_self_contained, remove_work
 
 _COMPUTING = ("dynahull-pipeline", "numpy", "scikit-learn", "numba")
 """What other versions of might compute other bits."""
@@ -49,10 +50,11 @@ def open_job(
     stage : str
         That will gather the chunks of tiles: `ground` or `chunk`.
     """
-    work = work.resolve()  # workers may have another current folder
+    work = work.parent.resolve() / work.name  # workers may have another current folder
     job = Job(work, job_key(digest, configuration), tuple(paths), state, configuration)
-    earlier = work.is_dir()
-    if fresh or not earlier or _is_of_another(work, job.key):
+    earlier = os.path.lexists(work)
+    foreign = earlier and (not is_self_contained(work) or _is_of_another(work, job.key))
+    if fresh or not earlier or foreign:
         if earlier and not fresh:
             observer.warn(
                 f"{work}: holds the work of another map or configuration, or of another version "

@@ -9,13 +9,16 @@ from importlib import import_module
 
 import numpy as np
 
+from pipeline.tiles.local_dask import site_settings_aside
+
 _NEEDED = ("distributed.nanny", "lazrs", "pyarrow.parquet", "pipeline.tiles.stages")
 
 
 def _load() -> None:
     """Import what tasks use, and load the compiled code that is kept."""
-    for name in _NEEDED:
-        import_module(name)
+    with site_settings_aside():
+        for name in _NEEDED:
+            import_module(name)
     # numba looks whether SciPy brings a BLAS for `np.cov`, and nothing else here needs it.
     with _without("scipy.linalg"):
         import_module("dynahull.loading").load_compiled()

@@ -42,3 +42,11 @@ def read_sealed(path: Path) -> dict[str, Any]:
         raise WorkError(f"{path}: expected a file of a run's work, found a damaged one; {GO_ON}")
     values: dict[str, Any] = json.loads(content)
     return values
+
+
+def read_if_whole(path: Path) -> dict[str, Any] | None:
+    """Read what `write_sealed` wrote; None where it is not there, or not as it was written."""
+    try:
+        return read_sealed(path)
+    except WorkError:
+        return None

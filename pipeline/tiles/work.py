@@ -6,7 +6,9 @@ taken for this one's. So a run killed at any moment goes on with the tasks that 
 names all that the task wrote as well, each with a checksum: see `pipeline.tiles.verifying`.
 """
 
+import os
 import shutil
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -129,6 +131,10 @@ class WorkFolder:
             raise ValueError(f"expected a file of {self.root}, found {name}")
         return self.root / name
 
+    def forget(self, stage: str, task: int) -> None:
+        """Let a task be done again."""
+        self.path(stage, task, ".done").unlink(missing_ok=True)
+
     def finish(
         self, stage: str, task: int, report: TaskReport, written: Iterable[Written] = ()
     ) -> None:
@@ -161,12 +167,36 @@ class WorkFolder:
         return map_array(self.path(stage, task, _ARRAYS), name)
 
 
+def is_self_contained(work: Path) -> bool:
+    """Tell whether a work folder holds folders and files of its own only.
+
+    One that came from elsewhere may hold links in their places, through which tasks would write
+    outside of it, and pipes that nothing comes out of.
+    """
+    waiting = [work]
+    while waiting:
+        folder = waiting.pop()
+        if folder.is_symlink() or not folder.is_dir():
+            return False
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(folder / entry.name)
+                elif not _is_only_here(entry.stat(follow_symlinks=False)):
+                    return False
+    return True
+
+
+def _is_only_here(status: os.stat_result) -> bool:
+    return stat.S_ISREG(status.st_mode) and status.st_nlink <= 1
+
+
 def remove_work(work: Path) -> None:
     """Remove a work folder; one that is half removed is never taken for work again."""
     removed = work.with_name(REMOVED_FOLDER)
     with suppress(OSError):
         remove(removed)
-    if work.is_symlink() or work.exists():
+    if os.path.lexists(work):
         work.rename(removed)
         with suppress(OSError):
             remove(removed)

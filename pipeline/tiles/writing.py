@@ -4,73 +4,31 @@ Outputs whose records are of one size are written in parts by several workers, e
 of rows; the others by one process, as a stream.
 """
 
-import pickle
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pipeline.errors import LostPointsError
+from pipeline.errors import LostPointsError, WorkError
 from pipeline.output_modes import OutputMode, mode_of
 from pipeline.tiles.ahead import made_ahead
 from pipeline.tiles.job import CREATING, Job
 from pipeline.tiles.rows import open_rows
+from pipeline.tiles.sealed import read_if_whole, read_sealed, write_sealed
 from pipeline.tiles.work import TaskReport
-from tiling.atomic import atomic_file
 from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parts import PartSummary, PartWriter
 from tiling.ledger import note_end, noting
 
 BATCH = 500_000
-PARTS_FILE = "parts.pickle"
+PARTS_FILE = "parts.json"
 GROWING = "outputs"
 """Within the work folder: outputs that are being written in parts."""
-
-
-@dataclass(frozen=True, slots=True)
-class OutputPart:
-    """A range of one input file's rows, and where its points go.
-
-    Attributes
-    ----------
-    file : int
-        The input file.
-    rows : range
-        Of that file.
-    firsts : tuple of int
-        Points of each output before those of this part.
-    """
-
-    file: int
-    rows: range
-    firsts: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class OutputPlan:
-    """All outputs that are written in parts.
-
-    Attributes
-    ----------
-    writers : dict of int to tuple of PartWriter
-        Of each input file, for its outputs.
-    parts : tuple of OutputPart
-    mode : str
-        The configuration that decides what goes where.
-    """
-
-    writers: dict[int, tuple[PartWriter, ...]]
-    parts: tuple[OutputPart, ...]
-    mode: str
-
-    @property
-    def paths(self) -> list[Path]:
-        """All outputs."""
-        return [writer.path for writers in self.writers.values() for writer in writers]
 
 
 def write_stream(
@@ -124,7 +82,76 @@ def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
         )
 
 
-def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]) -> OutputPlan:
+@dataclass(frozen=True, slots=True)
+class OutputPart:
+    """A range of one input file's rows, and where its points go.
+
+    Attributes
+    ----------
+    file : int
+        The input file.
+    rows : range
+        Of that file.
+    firsts : tuple of int
+        Points of each output before those of this part.
+    """
+
+    file: int
+    rows: range
+    firsts: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class OutputPlan:
+    """All outputs that are written in parts.
+
+    Attributes
+    ----------
+    points : dict of int to tuple of int
+        Of each input file, the points of its outputs.
+    parts : tuple of OutputPart
+    mode : str
+        The configuration that decides what goes where.
+    """
+
+    points: dict[int, tuple[int, ...]]
+    parts: tuple[OutputPart, ...]
+    mode: str
+
+    def counts(self, number: int) -> tuple[int, ...]:
+        """Return the points of each output in a part."""
+        part, *following = self.parts[number : number + 2]
+        same_file = bool(following) and following[0].file == part.file
+        ends = following[0].firsts if same_file else self.points[part.file]
+        return tuple(end - first for end, first in zip(ends, part.firsts, strict=True))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what `from_json` reads, of the types of JSON."""
+        parts = [
+            [part.file, part.rows.start, part.rows.stop, list(part.firsts)] for part in self.parts
+        ]
+        points = [[file, list(counts)] for file, counts in self.points.items()]
+        return {"points": points, "parts": parts, "mode": self.mode}
+
+    @classmethod
+    def from_json(cls, kept: Any) -> "OutputPlan":
+        """Return the plan of which `to_json` returned this."""
+        return cls(
+            {file: tuple(counts) for file, counts in kept["points"]},
+            tuple(
+                OutputPart(file, range(start, stop), tuple(firsts))
+                for file, start, stop, firsts in kept["parts"]
+            ),
+            kept["mode"],
+        )
+
+
+def growing_outputs(job: Job, file: int, outputs: int) -> tuple[Path, ...]:
+    """Return where the outputs of a file of the map grow, by names that follow from no other."""
+    return tuple(job.root / GROWING / f"{file:06d}-{output}" for output in range(outputs))
+
+
+def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
     """Create the outputs of some files, to be written in parts, and keep the plan.
 
     Where an earlier run left them, and the same is wanted, its parts are gone on with.
@@ -135,18 +162,33 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
         Whose labels are known.
     files : sequence of int
         Files of the map whose format is written in parts.
-    outputs : sequence of sequence of Path
-        Of every file of the map.
     """
-    mode_wanted = job.configuration.output.model_dump_json()
-    earlier = _earlier_plan(job)
-    wanted = [path.resolve() for file in files for path in outputs[file]]
-    if earlier is not None and earlier.mode == mode_wanted and earlier.paths == wanted:
-        return earlier
+    plan = _plan_of(job, files)
+    writers = [writer for file in files for writer in _writers(job, plan, file)]
+    if job.work.has_done(CREATING) and _earlier_plan(job) == _kept(plan, writers):
+        for number in range(len(plan.parts)):
+            if _summaries(job, plan, number) is None:
+                job.work.forget("write", number)
+        return plan
     job.work.step_path(CREATING).unlink(missing_ok=True)
-    shutil.rmtree(job.root / "write", ignore_errors=True)
-    writers: dict[int, tuple[PartWriter, ...]] = {}
-    parts = []
+    for folder in ("write", GROWING):
+        shutil.rmtree(job.root / folder, ignore_errors=True)
+        job.work.make(folder)
+    with noting() as written:
+        for writer in writers:
+            writer.create()
+            note_end(writer.path)
+        write_sealed(job.root / PARTS_FILE, _kept(plan, writers))
+    job.work.finish_step(CREATING, written)
+    return plan
+
+
+def _earlier_plan(job: Job) -> dict[str, Any] | None:
+    return read_if_whole(job.root / PARTS_FILE)
+
+
+def _plan_of(job: Job, files: Sequence[int]) -> OutputPlan:
+    points, parts = {}, []
     for file in files:
         mode = mode_of_file(job, file)
         firsts = (0,) * len(mode.formats)
@@ -155,29 +197,28 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
             rows = range(start, min(start + 2 * BATCH, count))
             parts.append(OutputPart(file, rows, firsts))
             firsts = tuple(map(sum, zip(firsts, mode.counts(rows), strict=True)))
-        writers[file] = tuple(
-            each.part_writer(path.resolve(), points)
-            for each, path, points in zip(mode.formats, outputs[file], firsts, strict=True)
-        )
-    plan = OutputPlan(writers, tuple(parts), mode_wanted)
-    job.work.make("write")
-    with noting() as written:
-        for writer in (writer for of_file in writers.values() for writer in of_file):
-            writer.path.parent.mkdir(parents=True, exist_ok=True)
-            writer.create()
-            note_end(writer.path)
-        with atomic_file(_parts_path(job)) as temporary:
-            temporary.write_bytes(pickle.dumps(plan))
-    job.work.finish_step(CREATING, written)
-    return plan
+        points[file] = firsts
+    return OutputPlan(points, tuple(parts), job.configuration.output.model_dump_json())
 
 
-def _earlier_plan(job: Job) -> OutputPlan | None:
-    """Return the plan of a run that did not come to its end, if all its outputs are still there."""
-    if not job.work.has_done(CREATING):
-        return None
-    plan: OutputPlan = pickle.loads(_parts_path(job).read_bytes())
-    return plan if all(path.is_file() for path in plan.paths) else None
+def _kept(plan: OutputPlan, writers: Sequence[PartWriter]) -> dict[str, Any]:
+    """Return what is kept of a plan whose outputs were created.
+
+    It is compared with what is wanted, and never believed.
+    """
+    paths = [writer.path for writer in writers]
+    sizes = [path.stat().st_size if path.is_file() else None for path in paths]
+    return plan.to_json() | {"sizes": sizes}
+
+
+def _writers(job: Job, plan: OutputPlan, file: int) -> list[PartWriter]:
+    counts = plan.points[file]
+    paths = growing_outputs(job, file, len(counts))
+    formats = mode_of_file(job, file).formats
+    return [
+        each.part_writer(path, count)
+        for each, path, count in zip(formats, paths, counts, strict=True)
+    ]
 
 
 def write_part(job: Job, number: int) -> TaskReport:
@@ -188,15 +229,15 @@ def write_part(job: Job, number: int) -> TaskReport:
     with ExitStack() as stack:
         outputs = [
             stack.enter_context(writer.open_part(first))
-            for writer, first in zip(plan.writers[part.file], part.firsts, strict=True)
+            for writer, first in zip(_writers(job, plan, part.file), part.firsts, strict=True)
         ]
         for batch in mode.reader.batches(BATCH, part.rows):
             for output, records in zip(outputs, mode.records(batch), strict=True):
                 output.write(records)
         for output in outputs:
             output.flush()
-    with atomic_file(job.work.path("write", number, ".pickle")) as temporary:
-        temporary.write_bytes(pickle.dumps([output.summary for output in outputs]))
+    summaries = [output.summary.to_json() for output in outputs]
+    write_sealed(job.work.path("write", number, ".json"), {"summaries": summaries})
     return TaskReport(len(part.rows))
 
 
@@ -206,7 +247,7 @@ def file_of_part(job: Job, number: int) -> int:
 
 
 def _plan(job: Job) -> OutputPlan:
-    path = _parts_path(job)
+    path = job.root / PARTS_FILE
     return _opened_plan(path, path.stat().st_mtime_ns)
 
 
@@ -214,8 +255,27 @@ def _plan(job: Job) -> OutputPlan:
 def _opened_plan(path: Path, changed: int) -> OutputPlan:
     """Read the plan, once for all parts that a process writes."""
     del changed
-    plan: OutputPlan = pickle.loads(path.read_bytes())
-    return plan
+    return OutputPlan.from_json(read_sealed(path))
+
+
+def _summaries(job: Job, plan: OutputPlan, number: int) -> list[PartSummary] | None:
+    """Return the summaries of a part that was written; None where what was kept is no such."""
+    part = plan.parts[number]
+    stored = read_if_whole(job.work.path("write", number, ".json")) or {}
+    kept = stored.get("summaries")
+    if not isinstance(kept, list) or len(kept) != len(part.firsts):
+        return None
+    writers = _writers(job, plan, part.file)
+    summaries = [
+        writer.new_summary(first) for writer, first in zip(writers, part.firsts, strict=True)
+    ]
+    try:
+        for summary, of_output in zip(summaries, kept, strict=True):
+            summary.restore(of_output)
+    except ValueError:
+        return None
+    counts = tuple(summary.count for summary in summaries)
+    return summaries if counts == plan.counts(number) else None
 
 
 def mode_of_file(job: Job, file: int) -> OutputMode:
@@ -231,16 +291,21 @@ def mode_of_file(job: Job, file: int) -> OutputMode:
 
 
 def finish_parts(job: Job, plan: OutputPlan) -> None:
-    """Write what only all parts of an output together tell; then they are not gone on with."""
+    """Write what only all parts of an output together tell; then they are not gone on with.
+
+    Raises
+    ------
+    WorkError
+        When what a part kept was changed meanwhile.
+    """
     job.work.step_path(CREATING).unlink(missing_ok=True)
-    summaries: dict[int, list[list[PartSummary]]] = {file: [] for file in plan.writers}
+    of_files: dict[int, list[list[PartSummary]]] = {file: [] for file in plan.points}
     for number, part in enumerate(plan.parts):
-        kept = job.work.path("write", number, ".pickle").read_bytes()
-        summaries[part.file].append(pickle.loads(kept))
-    for file, writers in plan.writers.items():
-        for output, writer in enumerate(writers):
-            writer.finish([summary[output] for summary in summaries[file]])
-
-
-def _parts_path(job: Job) -> Path:
-    return job.root / PARTS_FILE
+        summaries = _summaries(job, plan, number)
+        if summaries is None:
+            path = job.work.path("write", number, ".json")
+            raise WorkError(f"{path}: expected the summaries of a part, found others; run it again")
+        of_files[part.file].append(summaries)
+    for file, of_parts in of_files.items():
+        for output, writer in enumerate(_writers(job, plan, file)):
+            writer.finish([summaries[output] for summaries in of_parts])

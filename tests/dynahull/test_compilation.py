@@ -52,7 +52,7 @@ def test_other_folder_is_found_where_the_first_cannot_be_written(
     assert folder is not None
     assert (tmp_path / "cache") in folder.parents
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setattr(compilation.tempfile, "gettempdir", lambda: str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "file"))
     assert compilation.cache_folder(tmp_path) is None
 
 

@@ -1,5 +1,7 @@
 """Arrays in a file: they come back as they were, and a damaged file is named."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -58,3 +60,36 @@ def test_an_array_that_was_not_kept_is_named(tmp_path):
     write_arrays(tmp_path / "task.arrays", {"rows": np.arange(5)})
     with pytest.raises(WorkError, match="expected the arrays xyz"):
         read_arrays(tmp_path / "task.arrays", "xyz")
+
+
+@pytest.mark.parametrize(
+    "described",
+    [
+        [["rows", "|O", [4], 0]],  # addresses of Python objects, to be followed
+        [["rows", [["a", "|O"]], [4], 0]],
+        [["rows", "<i8", [-1], 0]],
+        [["rows", "<i8", [4], -64]],
+        [["rows", "<i8", [4, 1 << 60], 0]],
+        [["rows", "<i8", "44", 0]],
+        [["rows", "<i8", [4.0], 0]],
+        [["rows", None, [4], 0]],
+        [["rows"]],
+        {"rows": 1},
+        7,
+    ],
+    ids=str,
+)
+def test_a_file_that_describes_no_numbers_is_refused(tmp_path, described):
+    path = tmp_path / "task.arrays"
+    path.write_bytes(json.dumps(described).encode() + b"\n" + bytes(64))
+    with pytest.raises(WorkError, match="found a damaged file"):
+        read_arrays(path, "rows")
+    with pytest.raises(WorkError, match="found a damaged file"):
+        map_array(path, "rows")
+
+
+def test_a_head_without_end_is_refused(tmp_path):
+    path = tmp_path / "task.arrays"
+    path.write_bytes(b"[" * 100_000 + b"\n")
+    with pytest.raises(WorkError, match="found a damaged file"):
+        read_arrays(path, "rows")

@@ -104,7 +104,7 @@ class TestScriptOfTheRun:
         folder = map_file.parent / "out"
         assert lines[-3:-1] == ["module load python", "umask 027"]
         assert shlex.split(lines[-1]) == [
-            "exec", sys.executable, "-m", "pipeline", "run", str(map_file), "-o", str(folder),
+            "exec", sys.executable, "-P", "-m", "pipeline", "run", str(map_file), "-o", str(folder),
             "-c", f"{folder}/.dynahull-cluster/config.yaml", "--fresh",
         ]  # fmt: skip
         assert sum(f"{folder}/.dynahull-cluster/logs" in line for line in lines) == 2
@@ -132,7 +132,7 @@ class TestScriptOfTheRun:
         first, second, run = shell.split("; ")
         assert (first, second) == ("module load python", "umask 027")
         assert shlex.split(run)[:6] == [
-            "exec", sys.executable, "-m", "pipeline", "run", str(map_file),
+            "exec", sys.executable, "-P", "-m", "pipeline", "run", str(map_file),
         ]  # fmt: skip
 
     def test_leaves_nothing_behind(self, map_file):
@@ -180,6 +180,7 @@ class TestScriptOfAWorker:
             "cluster.interface=ib0",
         )  # fmt: skip
         words = script.replace("''", "'")
+        assert f"{sys.executable} -P -m distributed" in words  # not of the folder it begins in
         assert " --nthreads 1 --memory-limit 2.00GiB --nworkers 3 --nanny" in words
         assert "--lifetime 32400s --lifetime-stagger 1800s" in words
         assert "--dashboard-address 127.0.0.1:0" in words

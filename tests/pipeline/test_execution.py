@@ -12,7 +12,6 @@ from itertools import islice
 from pathlib import Path
 
 import cloudpickle
-import dask
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster, Worker
@@ -22,7 +21,7 @@ from pipeline.errors import TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.resources import worker_memory_limit
 from pipeline.run import run
-from pipeline.tiles import execution, stages
+from pipeline.tiles import execution, local_dask, stages
 from pipeline.tiles.execution import (
     IN_FLIGHT_PER_WORKER,
     RETRIES,
@@ -116,8 +115,8 @@ def test_failures_are_told_in_one_line_and_stop_no_other_task(executor, tmp_path
     assert found[5] == TaskReport(5)
 
 
-def test_faults_of_the_file_system_are_tried_again_and_others_are_not(client, tmp_path):
-    found = dict(OnDask(client).run(faulty, str(tmp_path), range(6)))
+def test_faults_of_the_file_system_are_tried_again_and_others_are_not(executor, tmp_path):
+    found = dict(executor.run(faulty, str(tmp_path), range(6)))
     calls = [len((tmp_path / f"{number}.calls").read_bytes()) for number in range(6)]
     assert calls == [1, 1, 1 + RETRIES, 1 + RETRIES, 1, 1]
     assert found[3] == TaskReport(3)  # the last try went well
@@ -264,12 +263,13 @@ def preloaded(folder, number):
     return TaskReport(int("pipeline.tiles.preloaded" in sys.modules))
 
 
-def test_workers_of_this_machine_are_processes_of_one_thread_with_a_limit_and_a_death_is_told():
+def test_workers_of_this_machine_are_processes_of_one_thread_with_a_limit_and_a_death_is_told(
+    monkeypatch,
+):
     # A task is tried on three more workers otherwise, each of which takes seconds to start.
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        local_workers(1, 3 << 30) as executor,
-    ):
+    settings = {**local_dask._SETTINGS, "distributed.scheduler.allowed-failures": 0}
+    monkeypatch.setattr(local_dask, "_SETTINGS", settings)
+    with local_workers(1, 3 << 30) as executor:
         assert executor.workers == 1
         ((_, report),) = executor.run(surroundings, "", [0])
         assert report.points != os.getpid()

@@ -1,6 +1,7 @@
 """A run that was killed, or that failed, goes on: nothing is done twice, and never mixed up."""
 
 import os
+import pickle
 import random
 import shutil
 import signal
@@ -14,13 +15,16 @@ import pytest
 
 from pipeline import run as run_module
 from pipeline.configuration import load_configuration
-from pipeline.errors import InputChangedError, TasksFailedError
+from pipeline.errors import InputChangedError, PipelineError, TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import opening, stages
+from pipeline.tiles.job import CREATING
 from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.tiles.status import status_text
-from tiling.errors import MapFormatError
+from pipeline.tiles.work import WorkFolder
+from tiling.errors import MapFormatError, TilingError
+from tiling.ledger import noting
 
 COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
 SETTINGS = [
@@ -369,7 +373,7 @@ def test_parts_are_written_again_where_the_outputs_are_gone(
     map_file, half_written, expected, done_tasks
 ):
     # As after a kill between the moving of the outputs and their publication.
-    (half_written / WORK / "outputs/static.npy").unlink()
+    (half_written / WORK / "outputs/000000-0").unlink()
     cleaned(map_file, half_written)
     assert {number for stage, number in done_tasks if stage == "write"} == {0, 1, 2, 3}
     assert results(half_written) == expected
@@ -381,6 +385,118 @@ def test_parts_of_other_outputs_are_not_gone_on_with(map_file, half_written, tmp
     assert {number for stage, number in done_tasks if stage == "write"} == {0, 1, 2, 3}
     cleaned(map_file, tmp_path / "fresh", wanted)
     assert results(half_written) == results(tmp_path / "fresh")
+
+
+def forge(work, marker, path, values):
+    """Put other values into a sealed file, as if the run had written them."""
+    folder = WorkFolder(work, read_sealed(work / "job.json")["key"])
+    kept = folder.marker(marker)
+    with noting() as written:
+        write_sealed(path, values)
+    others = [each for each in kept.written if each.path != path]
+    folder._mark(marker, kept.report, [*others, *written])
+
+
+SUMMARIES = {
+    "nothing": "",
+    "half": "[{",
+    "too deep": "[" * 100_000,
+    "another kind": 7,
+    "too few": [{"first": 0, "count": 5}],
+    "no members": [{}, {}],
+    "texts": [{"first": "0", "count": "5"}, {"first": "0", "count": "5"}],
+    "other points": [{"first": 0, "count": 200}, {"first": 0, "count": 0}],
+    "other places": [{"first": 7, "count": 5}, {"first": 7, "count": 5}],
+}
+
+
+@pytest.mark.parametrize("summary", SUMMARIES)
+def test_a_part_with_a_strange_summary_is_written_again(
+    summary, map_file, half_written, expected, done_tasks
+):
+    work, kept = half_written / WORK, SUMMARIES[summary]
+    path = work / "write/000000.json"
+    if isinstance(kept, str):
+        path.write_text(kept, encoding="utf-8")
+    else:
+        forge(work, path.with_suffix(".done"), path, {"summaries": kept})
+    cleaned(map_file, half_written)
+    assert [task for task in done_tasks if task[0] == "write"] == [("write", 0), ("write", 1)]
+    assert results(half_written) == expected
+
+
+PLANS = {
+    "nothing": lambda kept: "",
+    "too deep": lambda kept: "[" * 100_000,
+    "another kind": lambda kept: "[]",
+    "no parts": lambda kept: kept | {"parts": []},
+    "other rows": lambda kept: kept | {"parts": kept["parts"][::-1]},
+    "other sizes": lambda kept: kept | {"sizes": [1, 2]},
+}
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_parts_of_a_strange_plan_are_all_written_again(
+    plan, map_file, half_written, expected, done_tasks
+):
+    work = half_written / WORK
+    path = work / "parts.json"
+    forged = PLANS[plan](read_sealed(path))
+    if isinstance(forged, str):
+        path.write_text(forged, encoding="utf-8")
+    else:
+        forge(work, work / f"{CREATING}.done", path, forged)
+    cleaned(map_file, half_written)
+    assert {number for stage, number in done_tasks if stage == "write"} == {0, 1, 2, 3}
+    assert results(half_written) == expected
+
+
+def test_a_work_folder_from_elsewhere_calls_nothing(map_file, half_written, expected, tmp_path):
+    class Attack:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "called"),)
+
+    work = half_written / WORK
+    for path in [*work.rglob("*"), work / "parts.pickle", work / "write/000000.pickle"]:
+        if not path.is_dir() and path.suffix != ".done" and path.name != "job.json":
+            path.write_bytes(pickle.dumps(Attack()))
+    with suppress(PipelineError, TilingError):
+        cleaned(map_file, half_written)
+    assert not (tmp_path / "called").exists()
+
+
+@pytest.mark.parametrize("place", ["", "write", "outputs/000000-0", "job.json", "label.rows"])
+@pytest.mark.parametrize("link", ["symbolic", "hard"])
+def test_a_work_folder_that_leads_elsewhere_is_not_taken(
+    place, link, map_file, half_written, expected, tmp_path, done_tasks
+):
+    inside, outside = half_written / WORK / place, tmp_path / "outside"
+    inside.rename(outside)
+    if link == "symbolic":
+        inside.symlink_to(outside)
+    elif outside.is_dir():
+        pytest.skip("folders have no hard links")
+    else:
+        os.link(outside, inside)
+    before = tree(outside)
+    report = cleaned(map_file, half_written)
+    assert tree(outside) == before
+    assert [warning for warning in report.warnings if "starting over" in warning]
+    assert results(half_written) == expected
+
+
+def tree(path):
+    """Every file at or below a path, with its bytes."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return {file: file.read_bytes() for file in files if file.is_file()}
+
+
+@pytest.mark.parametrize("content", ["", "[]", "7", "null", "[" * 100_000])
+def test_a_job_that_says_nothing_is_begun_anew(content, map_file, interrupted, expected):
+    (interrupted / WORK / "job.json").write_text(content, encoding="utf-8")
+    report = cleaned(map_file, interrupted)
+    assert [warning for warning in report.warnings if "starting over" in warning]
+    assert results(interrupted) == expected
 
 
 def test_fresh_starts_over_without_a_warning(map_file, interrupted, expected, done_tasks):

@@ -198,7 +198,7 @@ def test_a_viewer_that_cannot_draw_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "run", fail)
     with pytest.raises(MissingViewerError, match="viewer ended with code 101"):
         view_result(folder)
-    assert commands[0][:3] == [sys.executable, "-m", "rerun"]
+    assert commands[0][:4] == [sys.executable, "-P", "-m", "rerun"]
 
 
 def test_a_recording_goes_into_a_folder_that_is_there(tmp_path, monkeypatch):

@@ -1,9 +1,11 @@
 """Loops over single bytes, points or columns, compiled by Numba, where NumPy has none for them."""
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
-from numba import njit
+import numba
+
+from tiling.private_folder import private_folder
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -11,13 +13,17 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(function: Function) -> Function:
     """Compile a function on its first call, and keep the machine code for later processes.
 
-    The code is kept beside the module or in the user's cache. Where neither can be written to
-    (an installed container image run by a user with no home), each process compiles anew.
+    The code is kept in a folder that is the user's alone, see `tiling.private_folder`. Where there
+    is none (an installed container image run by a user with no home), each process compiles anew.
     """
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    folder = private_folder("formats", str(before))
+    config.CACHE_DIR = before if folder is None else str(folder)  # numba looks at it here
     try:
-        return cast(Function, njit(cache=True, nogil=True)(function))
-    except RuntimeError:
-        return cast(Function, njit(nogil=True)(function))
+        return cast(Function, numba.njit(cache=folder is not None, nogil=True)(function))
+    finally:
+        config.CACHE_DIR = before
 
 
 def helper(function: Function) -> Function:
@@ -26,4 +32,4 @@ def helper(function: Function) -> Function:
     It allocates nothing: so the references to the arrays handed to it need not be counted, which
     would take several times as long as what it does.
     """
-    return cast(Function, njit(nogil=True, _nrt=False)(function))
+    return cast(Function, numba.njit(nogil=True, _nrt=False)(function))

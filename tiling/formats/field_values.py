@@ -91,11 +91,11 @@ def _parquet_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic
 def _numpy_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
     path = reader.description.path
     if path.suffix.lower() == ".npz":
-        with np.load(path) as archive:
+        with np.load(path, allow_pickle=False) as archive:
             owner = name if name in archive else next(iter(archive))
             array = archive[owner]
     else:
-        array = np.load(path, mmap_mode="r")
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     column = array[name] if array.dtype.names else array
     if column.ndim != 1:
         raise MapFormatError(path, f"one {name} a point", f"an array of shape {column.shape}")

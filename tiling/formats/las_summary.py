@@ -2,7 +2,7 @@
 
 import struct
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from tiling.formats.las_header import (
     AT_LEGACY_COUNT,
     LasHeader,
 )
-from tiling.formats.parts import PartSummary
+from tiling.formats.parts import PartSummary, integers, member
 
 _WITHOUT_GPS_TIME = (0, 2)
 _RETURNS = 16
@@ -67,6 +67,30 @@ class LasSummary(PartSummary):
             times = times[np.isfinite(times)]
             if len(times):
                 self._widen_time(float(times.min()), float(times.max()))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what `restore` reads, of the types of JSON."""
+        return PartSummary.to_json(self) | {
+            "returns": self.returns.tolist(),
+            "lowest": self.lowest,
+            "highest": self.highest,
+            "gps_time": list(self.gps_time),
+        }
+
+    def restore(self, kept: Any) -> None:
+        """Take over the summary of other points; see `PartSummary.restore`."""
+        PartSummary.restore(self, kept)
+        grid = np.iinfo(np.int32)
+        self.returns = np.array(integers(member(kept, "returns"), _RETURNS), np.int64)
+        self.lowest = integers(member(kept, "lowest"), 3, grid.min, grid.max)
+        self.highest = integers(member(kept, "highest"), 3, grid.min, grid.max)
+        match member(kept, "gps_time"):
+            case [float(first), float(last)]:
+                self.gps_time = (first, last)
+            case _:
+                raise ValueError("expected two GPS times")
+        if self.returns.sum() != self.count:
+            raise ValueError("expected as many points by return as in all")
 
     def merge(self, other: "LasSummary") -> None:
         """Take the points of another summary into account."""

@@ -42,13 +42,30 @@ class PartSummary:
         """Take at least one more point into account."""
         self.count += len(records)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return what `restore` reads, of the types of JSON."""
+        return {"first": self.first, "count": self.count}
+
+    def restore(self, kept: Any) -> None:
+        """Take over what `to_json` returned of another summary of the same output.
+
+        Raises
+        ------
+        ValueError
+            When it is anything else, as a file may be that somebody else wrote.
+        """
+        first, count = integers([member(kept, "first"), member(kept, "count")], 2)
+        if first != self.first:
+            raise ValueError(f"expected the summary of a part from {self.first}, found {first}")
+        self.count = count
+
 
 class PartWriter(ABC):
     """Writes a map of a known number of points in parts, in any order and from any process.
 
     One process calls `create`; then each writes its parts; and when all are written, one process
-    calls `finish` with the summaries of all. The object can be pickled, and remembers nothing of
-    these calls: each may be made on another copy.
+    calls `finish` with the summaries of all. The object remembers nothing of these calls: each may
+    be made on another that was made alike.
 
     Parameters
     ----------
@@ -198,6 +215,24 @@ class SinglePartWriter(MapWriter):
 
     def _abandon(self) -> None:
         self._part.close()
+
+
+def member(kept: Any, name: str) -> Any:
+    """Return a member of an object that was read from JSON; raise a `ValueError` if it has none."""
+    if not isinstance(kept, dict) or name not in kept:
+        raise ValueError(f"expected an object with {name!r}")
+    return kept[name]
+
+
+def integers(values: Any, count: int, lowest: int = 0, highest: int = 1 << 62) -> list[int]:
+    """Return integers that were read from JSON; raise a `ValueError` if they are anything else."""
+    if (
+        not isinstance(values, list)
+        or len(values) != count
+        or not all(type(value) is int and lowest <= value <= highest for value in values)
+    ):
+        raise ValueError(f"expected {count} integers between {lowest} and {highest}")
+    return values
 
 
 def put_records(file: BinaryIO, start: int, records: NDArray[Any]) -> None:
