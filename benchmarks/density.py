@@ -182,7 +182,9 @@ class Kernel:
     def solve(self, hulls: bool) -> None:
         """Find the neighbours of all points of the part, and perhaps measure the hulls."""
         density = self.density if hulls else np.empty(0)
-        results = Results(density, self.reach, np.empty((0, 0), np.int64), np.empty((0, 0), np.float32))
+        results = Results(
+            density, self.reach, np.empty((0, 0), np.int64), np.empty((0, 0), np.float32)
+        )
         self.compiled.solve(self.tree, K, self.first, self.end, self.wanted, self.room, results)
 
 

@@ -128,11 +128,11 @@ def clean(
         spread = _scattered(
             np.full((len(coordinates), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
         )
-        points = ScoredPoints(
+        scored = ScoredPoints(
             coordinates.take(rows, axis=0), density[rows], spread[rows], aside.height[rows]
         )
         score[rows] = ghost_scores(
-            points, coordinates[aside.ground | aside.above], parameters.neighbours.k, threads
+            scored, coordinates[aside.ground | aside.above], parameters.neighbours.k, threads
         )
         observer.advance(len(rows))
         removals = [

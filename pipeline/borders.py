@@ -150,9 +150,7 @@ def core_densities(
         reach[members] = np.sqrt(found.squared_reach) * (1 + 1e-9)
     rest = _Rest(known, membership, region, others, clusters, parameters)
     reached = pending & (reach <= _FARTHEST_GATHERED)
-    density[reached], spread[reached] = rest.within_reach(
-        np.flatnonzero(reached), reach[reached]
-    )
+    density[reached], spread[reached] = rest.within_reach(np.flatnonzero(reached), reach[reached])
     one_by_one = np.flatnonzero(pending & ~reached)
     for start in range(0, len(one_by_one), _QUERIES_AT_A_TIME):
         batch = one_by_one[start : start + _QUERIES_AT_A_TIME]
@@ -356,9 +354,7 @@ class _Rest:
                 reference_spreads(neighbours.xyz, neighbours.rows, k if spread else 0, centre),
             )
         chosen = neighbours.rows == self._known.rows[query]
-        found = hull_densities(
-            neighbours.xyz, neighbours.rows, k, queries=chosen, spread=spread
-        )
+        found = hull_densities(neighbours.xyz, neighbours.rows, k, queries=chosen, spread=spread)
         return found.density[chosen], found.spread[chosen]
 
 

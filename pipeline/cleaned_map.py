@@ -20,6 +20,7 @@ class CleanedMap:
     labels : (N,) uint8 array
     cluster : (N,) int32 array or None
     density : (N,) float64 array or None
+    score : (N,) float32 array or None
         None where nobody asked for them.
     counts : dict of str to int
         Points of each label.
@@ -33,6 +34,7 @@ class CleanedMap:
     labels: NDArray[np.uint8]
     cluster: NDArray[np.int32] | None
     density: NDArray[np.float64] | None
+    score: NDArray[np.float32] | None
     counts: dict[str, int]
     clusters: tuple[ClusterSummary, ...]
     views: Callable[[], Views] | None = None

@@ -74,5 +74,11 @@ def clean_in_memory(
         read=decoded.batches,
     )
     return CleanedMap(
-        result.labels, result.cluster, result.density, result.counts(), result.clusters, views
+        result.labels,
+        result.cluster,
+        result.density,
+        result.score,
+        result.counts(),
+        result.clusters,
+        views,
     )

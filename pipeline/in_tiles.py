@@ -47,10 +47,11 @@ def clean_in_tiles(
         if job.configuration.output.report == "html":
             views, tiles = _views(job, result, meanwhile=executor.workers > 1), tile_work(job)
         output = job.configuration.output
-        cluster, density = None, None
+        cluster, density, score = None, None, None
         if output.needs_scores:
             cluster = open_rows(job.rows_path("cluster"), np.int32)
             density = open_rows(job.rows_path("density"), np.float64)
+            score = open_rows(job.rows_path("score"), np.float32)
         write_maps(
             collection,
             output,
@@ -63,7 +64,7 @@ def clean_in_tiles(
             executor,
             read=_decoded_batches(job),
         )
-    return CleanedMap(labels, cluster, density, result.counts, result.clusters, views, tiles)
+    return CleanedMap(labels, cluster, density, score, result.counts, result.clusters, views, tiles)
 
 
 def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views]:

@@ -16,15 +16,17 @@ def write_labels(
     labels: NDArray[np.uint8],
     cluster: NDArray[np.int32],
     density: NDArray[np.float64],
+    score: NDArray[np.float32],
     path: Path,
 ) -> None:
-    """Write label, cluster and density of every point, in input order, as Parquet.
+    """Write label, cluster, density and score of every point, in input order, as Parquet.
 
     Parameters
     ----------
     labels : (N,) uint8 array
     cluster : (N,) int32 array
     density : (N,) float64 array
+    score : (N,) float32 array
     path : Path
     """
     titles = pa.array([label.title for label in Label])
@@ -33,6 +35,7 @@ def write_labels(
             "label": pa.dictionary(pa.int8(), pa.string()),
             "cluster": pa.int32(),
             "density": pa.float64(),
+            "score": pa.float32(),
         }
     )
     with ExitStack() as stack:
@@ -44,5 +47,6 @@ def write_labels(
                 pa.DictionaryArray.from_arrays(codes, titles),
                 pa.array(np.asarray(cluster[rows])),
                 pa.array(np.asarray(density[rows])),
+                pa.array(np.asarray(score[rows])),
             ]
             writer.write_table(pa.table(columns, schema=schema), row_group_size=BATCH)

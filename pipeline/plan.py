@@ -107,7 +107,7 @@ def decision_radius(configuration: Configuration) -> float:
     radius = ground_radius(configuration.ground)
     if radius is None:
         return np.inf
-    if configuration.max_height is not None:
+    if configuration.needs_heights:
         radius += height_radius(configuration.ground)
     return radius
 

@@ -122,7 +122,14 @@ def run(
             from pipeline.labels_table import write_labels  # noqa: PLC0415
 
             assert cleaned.cluster is not None and cleaned.density is not None  # asked for
-            write_labels(cleaned.labels, cleaned.cluster, cleaned.density, staging / LABELS_FILE)
+            assert cleaned.score is not None
+            write_labels(
+                cleaned.labels,
+                cleaned.cluster,
+                cleaned.density,
+                cleaned.score,
+                staging / LABELS_FILE,
+            )
         observer.finish()
         report = RunReport.of(
             folder,

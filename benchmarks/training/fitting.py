@@ -1,4 +1,7 @@
-"""Two rounds of boosted trees: the second learns from what a first, which had not seen the map, made of it."""
+"""Two rounds of boosted trees.
+
+The second learns from what a first round made of a map that it had not seen.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,7 +61,9 @@ class Sample:
         return cls(np.concatenate(rows)[order], (weight * points / max(weight.sum(), 1))[order])
 
 
-def fit(maps: Sequence[TrainingMap], options: FitOptions, without: Sequence[str] = ()) -> dict[str, Any]:
+def fit(
+    maps: Sequence[TrainingMap], options: FitOptions, without: Sequence[str] = ()
+) -> dict[str, Any]:
     """Fit both rounds, and return what the model's data file holds.
 
     Parameters
@@ -121,9 +126,7 @@ def _first(
     without: Sequence[str],
 ) -> dict[str, Any]:
     return _fitted(
-        _blanked(
-            np.concatenate([maps[n].terms[samples[n].rows] for n in chosen]), TERMS, without
-        ),
+        _blanked(np.concatenate([maps[n].terms[samples[n].rows] for n in chosen]), TERMS, without),
         np.concatenate([maps[n].truth[samples[n].rows] == MOVED for n in chosen]),
         np.concatenate([samples[n].weights for n in chosen]),
         TERMS,

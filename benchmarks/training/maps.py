@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.algorithm import scored_points
+from dynahull.algorithm import find_clusters, set_ground_aside
+from dynahull.density import SPREAD_COLUMNS, cluster_densities
 from dynahull.evidence.lattice import Voxels
-from dynahull.evidence.summaries import summarise_ground, summarise_points
+from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import TERMS, evidence
 from dynahull.parameters import MethodParameters
+from dynahull.progress import SilentObserver
 from pipeline.simulation.meshes import random_parameters, simulate_meshes
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
@@ -128,7 +130,7 @@ def _measure(
     """Measure the terms of a map as `clean` does, and keep them."""
     xyz = np.ascontiguousarray(xyz)
     parameters = MethodParameters.of({"removal": {"decision": "auto"}})
-    points, rows = scored_points(xyz, parameters)
+    points, rows = _scored(xyz, parameters)
     if len(points) < _FEWEST:
         return False
     unscored = np.ones(len(xyz), np.bool_)
@@ -151,13 +153,28 @@ def _measure(
     return True
 
 
+def _scored(
+    xyz: NDArray[np.float64], parameters: MethodParameters
+) -> tuple[ScoredPoints, NDArray[np.intp]]:
+    """Measure points as the first four steps of Algorithm 1 do; return them and their rows."""
+    silent = SilentObserver()
+    aside = set_ground_aside(xyz, np.ones(len(xyz), np.bool_), parameters, None, silent)
+    rows = np.flatnonzero(~aside.ground & ~aside.above)
+    clusters = find_clusters(xyz[rows], rows, len(xyz), parameters, silent)
+    nearest = clusters.nearest(xyz[rows])
+    density = np.full(len(rows), np.nan)
+    spread = np.full((len(rows), SPREAD_COLUMNS), np.nan, np.float32)
+    for cluster in np.unique(nearest):
+        members = np.flatnonzero(nearest == cluster)
+        density[members], spread[members] = cluster_densities(
+            xyz[rows[members]], rows[members], parameters
+        )
+    return ScoredPoints(xyz[rows], density, spread, aside.height[rows]), rows
+
+
 def _read(folder: Path, name: str) -> TrainingMap:
     with np.load(folder / f"{name}.npz") as kept:
-        return TrainingMap(
-            name,
-            *kept["names"].tolist(),
-            kept["xyz"],
-            kept["truth"],
-            np.load(folder / f"{name}.terms.npy", mmap_mode="r"),
-            *kept["unscored"].tolist(),
-        )
+        kind, sensor = kept["names"].tolist()
+        static, moved = kept["unscored"].tolist()
+        terms = np.load(folder / f"{name}.terms.npy", mmap_mode="r")
+        return TrainingMap(name, kind, sensor, kept["xyz"], kept["truth"], terms, static, moved)

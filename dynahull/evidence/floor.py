@@ -91,4 +91,4 @@ def _ground_about(i: int, j: int, k: int, lookup: _Lookup) -> int:
                 n = find_cell(i + di, j + dj, k + dk, lookup[0], lookup[2])
                 if n >= 0:
                     count += lookup[1][n, 0]
-    return count
+    return int(count)

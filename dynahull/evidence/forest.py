@@ -91,7 +91,9 @@ class Forest:
         """Read a forest from a JSON file."""
         return cls.of(json.loads(path.read_text(encoding="utf-8")))
 
-    def log_odds(self, evidence: npt.NDArray[np.float32], threads: int = 1) -> npt.NDArray[np.float32]:
+    def log_odds(
+        self, evidence: npt.NDArray[np.float32], threads: int = 1
+    ) -> npt.NDArray[np.float32]:
         """Return the logarithm of the odds of each point, (n,).
 
         Parameters
@@ -132,10 +134,7 @@ def _add_up(
             node = root
             while term[node] >= 0:
                 known = evidence[point, term[node]]
-                if np.isnan(known):
-                    goes_left = missing_left[node]
-                else:
-                    goes_left = known <= value[node]
+                goes_left = missing_left[node] if np.isnan(known) else known <= value[node]
                 node = left[node] if goes_left else right[node]
             total += value[node]
         found[point] = total

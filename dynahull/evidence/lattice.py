@@ -61,8 +61,8 @@ class Voxels:
             np.concatenate([part.sums for part in parts]),
         )
 
-    def within(self, low: Cells, high: Cells) -> Self:
-        """Return the voxels with low <= (i, j) <= high; `low` and `high` are (2,) arrays."""
+    def within(self, low: Integers, high: Integers) -> Self:
+        """Return the voxels with low <= (i, j) <= high; both are (2,) arrays."""
         flat = self.cells[:, :2]
         inside = ((flat >= low) & (flat <= high)).all(axis=1)
         return type(self)(self.cells[inside], self.sums[inside])
@@ -100,7 +100,7 @@ def _find_cells(points: Floats, side: float, cells: Cells) -> None:
 
 @compiled
 def number_cells(cells: Cells) -> tuple[npt.NDArray[np.int32], Integers]:
-    """Number cells in the order in which they come; return their numbers, and where each is first."""
+    """Return a number for each cell, in the order in which they come, and where each is first."""
     size = 1024
     table = np.full(size, -1, np.int32)
     firsts = np.empty(size // 2, np.int64)

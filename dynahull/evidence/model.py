@@ -18,8 +18,12 @@ from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Floats, Voxels
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
-from dynahull.evidence.prior import odds_counts, prior_shift
-from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_odds, summarise_points
+from dynahull.evidence.summaries import (
+    ScoredPoints,
+    summarise_ground,
+    summarise_odds,
+    summarise_points,
+)
 from dynahull.evidence.surroundings import Surroundings, Terms
 from dynahull.evidence.terms import TERMS, evidence
 from dynahull.threads import over_ranges
@@ -79,13 +83,10 @@ class EvidenceModel:
     ----------
     first, second : Forest
         Over `TERMS` and over `SECOND_TERMS`.
-    share : float
-        Of points that moved, that the odds are made for.
     """
 
     first: Forest
     second: Forest
-    share: float
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Self:
@@ -101,7 +102,7 @@ class EvidenceModel:
             raise InvalidParametersError(
                 "evidence model: expected the terms of this version, found others"
             )
-        return cls(first, second, float(stored["share"]))
+        return cls(first, second)
 
     def first_round(
         self, points: ScoredPoints, k: int, surroundings: Surroundings, threads: int = 1
@@ -174,18 +175,35 @@ def ghost_scores(
     voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored)])
     found = model.first_round(points, k, Surroundings.of(voxels), threads)
     odds = summarise_odds(points.xyz, found.log_odds)
-    log_odds = model.second_round(points.xyz, found, odds, threads)
-    score = probabilities(log_odds, prior_shift(odds_counts(log_odds), model.share))
-    score[np.isnan(points.density)] = np.nan
+    return final_scores(model, points.xyz, points.density, found, odds, threads)
+
+
+def final_scores(
+    model: EvidenceModel,
+    xyz: Floats,
+    density: Floats,
+    found: FirstRound,
+    odds: Voxels,
+    threads: int = 1,
+) -> npt.NDArray[np.float32]:
+    """Judge points once more, and return the probability that each moved; see `second_round`.
+
+    Returns
+    -------
+    (n,) float32 array
+        NaN where there is no density: the point is in a cluster of too few.
+    """
+    score = probabilities(model.second_round(xyz, found, odds, threads))
+    score[np.isnan(density)] = np.nan
     return score
 
 
 @compiled
-def probabilities(log_odds: npt.NDArray[np.float32], shift: float) -> npt.NDArray[np.float32]:
-    """Return the probability that each point moved, (n,), from its log odds and the map's shift."""
+def probabilities(log_odds: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return the probability that each point moved, (n,), from the logarithm of its odds."""
     found = np.empty(len(log_odds), np.float32)
     for i in range(len(log_odds)):
-        found[i] = 1.0 / (1.0 + np.exp(-(np.float64(log_odds[i]) + shift)))
+        found[i] = 1.0 / (1.0 + np.exp(-np.float64(log_odds[i])))
     return found
 
 

@@ -38,7 +38,9 @@ def pooled_terms(xyz: Floats, odds: Voxels) -> Terms:
         terms[:, number] = _mean_odds(sums).take(at)
         terms[:, LEVELS + number] = (sums[:, 1] / sums[:, 0]).take(at)
         if number == _COLUMN_LEVEL:
-            terms[:, 2 * LEVELS] = _mean_odds(_column_sums(level.cells, level.sums, level.table)).take(at)
+            terms[:, 2 * LEVELS] = _mean_odds(
+                _column_sums(level.cells, level.sums, level.table)
+            ).take(at)
         level, _ = level.coarser()
     return terms
 

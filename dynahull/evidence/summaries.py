@@ -125,9 +125,7 @@ def in_steps(logarithms: Floats) -> Integers:
     return np.rint(logarithms * OCTAVE).astype(np.int64)
 
 
-def around(
-    voxels: Voxels, low: Floats, high: Floats
-) -> Voxels:
+def around(voxels: Voxels, low: Floats, high: Floats) -> Voxels:
     """Return the voxels that decide about points in a box.
 
     Parameters
@@ -139,8 +137,8 @@ def around(
     coarsest = 2 ** (LEVELS - 1)
     side = FINEST * coarsest
 
-    def cells(place: Floats, more: int) -> npt.NDArray[np.int64]:
+    def cells(place: Floats, more: int) -> Integers:
         flat = np.nan_to_num(np.floor(place / side), posinf=2.0**40, neginf=-(2.0**40))
-        return (flat.astype(np.int64) + more) * coarsest
+        return np.asarray((flat.astype(np.int64) + more) * coarsest)
 
-    return voxels.within(cells(low, -2), cells(high, 3) - 1)
+    return voxels.within(cells(low, -1), cells(high, 2) - 1)

@@ -36,7 +36,9 @@ def _level_names() -> tuple[str, ...]:
         if number < LEVELS - 1:
             names += [f"spread_{box}", f"growth_{box}"]
         if number < 3:
-            names += [f"{name}_{box}" for name in ("box_thin", "box_flat", "box_linear", "box_normal")]
+            names += [
+                f"{name}_{box}" for name in ("box_thin", "box_flat", "box_linear", "box_normal")
+            ]
         if number in (1, 2):
             for way in ("up", "down"):
                 names += [f"{name}_{way}_{box}" for name in ("run", "gap", "filled")]
@@ -85,9 +87,7 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
 
 
 @compiled
-def places_of(
-    wanted: Cells, cells: Cells, table: npt.NDArray[np.int32]
-) -> npt.NDArray[np.int32]:
+def places_of(wanted: Cells, cells: Cells, table: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """Return which voxel each cell is, (n,); all are occupied."""
     places = np.empty(len(wanted), np.int32)
     for n in range(len(wanted)):

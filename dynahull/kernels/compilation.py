@@ -54,7 +54,9 @@ def _compile(cached: bool) -> Kernels:
         make_growth(),
         make_room(4),
     )
-    results = Results(np.zeros(4), np.zeros(4), np.zeros((4, 4), np.int64), np.zeros((4, 5), np.float32))
+    results = Results(
+        np.zeros(4), np.zeros(4), np.zeros((4, 4), np.int64), np.zeros((4, 5), np.float32)
+    )
     queries = np.zeros(4, np.bool_)
     grow_types = [numba.typeof(value) for value in (tree, rows, growth)]
     solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, room, results)]

@@ -92,6 +92,8 @@ def clean_tiles(
         thread.submit(remove_pieces, job)  # one core has time for it
         find_clusters(job, observer, fit)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
+    if job.configuration.removal.weighs_evidence:
+        exhaust(do_stage(job, executor, observer, "evidence", tiles))
     percentages, cuts = _rescaled(job, counts, observer)
     labelled, results = _Labelled(job), RowResults(job)
     for tile, report in do_stage(job, executor, observer, "label", tiles):
@@ -260,7 +262,10 @@ def _rescaled(
             save_cuts(job, present, None)
         return percentages, None
     tiles = [KeptScores(job, tile) for tile in range(len(job.store.layout))]
-    cuts = find_cuts(tiles, present, percentages, removal.threshold)
+    if removal.weighs_evidence:
+        cuts = [Cut(None)] * len(present)
+    else:
+        cuts = find_cuts(tiles, present, percentages, removal.threshold)
     save_cuts(job, present, cuts)
     return percentages, cuts
 

@@ -16,6 +16,7 @@ from pipeline.report_page.sample import is_sampled
 from pipeline.tiles.division import divided
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows
+from pipeline.tiles.weighing import unscored_voxels
 from pipeline.tiles.work import TaskReport
 from tiling.chunk_store import Chunk, joined
 from tiling.chunks import assemble, has_chunk, read_chunk, read_cores
@@ -42,12 +43,13 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
     chunk = _surroundings(job, tile)
     boxes = divided(region_of(job, tile), chunk.xyz, sides)
     parts = [_labelled(job, chunk, box, sides) for box in boxes]
-    decided, labels = parts[0]
+    decided, labels, heights = parts[0]
     if len(parts) > 1:
-        decided = joined([part for part, _ in parts])
+        decided = joined([part for part, _, _ in parts])
         order = np.argsort(decided.rows)
         decided = decided.select(order)
-        labels = np.concatenate([labels for _, labels in parts])[order]
+        labels = np.concatenate([of_part for _, of_part, _ in parts])[order]
+        heights = np.concatenate([of_part for _, _, of_part in parts])[order]
     free = labels == Label.STATIC
     core_rows = decided.rows[decided.core]
     own, around = decided.select(free & decided.core), decided.select(free & ~decided.core)
@@ -65,6 +67,9 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         "sample_xyz": own.xyz[sample],
         "sample_rows": own.rows[sample],
     }
+    if job.configuration.removal.weighs_evidence:
+        arrays["own_height"] = heights[free & decided.core]
+        arrays |= unscored_voxels(decided.xyz[~free & decided.core])
     if job.configuration.output.report == "html":
         shown = np.flatnonzero(decided.core)
         shown = shown[is_sampled(core_rows, job.collection.point_count)]
@@ -73,8 +78,10 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
     return TaskReport(core_count, (len(own),))
 
 
-def _labelled(job: Job, chunk: Chunk, box: Region, sides: int) -> tuple[Chunk, NDArray[np.uint8]]:
-    """Return the points of a box and their labels; `chunk` holds all points that decide."""
+def _labelled(
+    job: Job, chunk: Chunk, box: Region, sides: int
+) -> tuple[Chunk, NDArray[np.uint8], NDArray[np.float64]]:
+    """Return the points of a box, their labels and heights; `chunk` holds all that decide."""
     points = chunk
     if sides > 1:
         flat, radius = chunk.xyz[:, :2], job.decision_radius
@@ -85,11 +92,11 @@ def _labelled(job: Job, chunk: Chunk, box: Region, sides: int) -> tuple[Chunk, N
         classes = open_rows(job.rows_path("class"), np.uint8)[points.rows]
     every = np.ones(len(points), np.bool_)
     parameters = job.configuration.method()
-    ground, above = set_ground_aside(points.xyz, every, parameters, classes, SilentObserver())
+    aside = set_ground_aside(points.xyz, every, parameters, classes, SilentObserver())
     labels = np.full(len(points), Label.STATIC, np.uint8)
-    labels[ground], labels[above] = Label.GROUND, Label.ABOVE
+    labels[aside.ground], labels[aside.above] = Label.GROUND, Label.ABOVE
     inside = box.holds(points.xyz)
-    return points.select(inside), labels[inside]
+    return points.select(inside), labels[inside], aside.height[inside]
 
 
 def region_of(job: Job, tile: int) -> Region:

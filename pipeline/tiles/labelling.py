@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.labels import Label
+from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.result import NO_CLUSTER
 from pipeline.errors import WorkError
@@ -19,6 +20,7 @@ from pipeline.tiles.sampling import shown_points
 from pipeline.tiles.scores import KeptScores, scored_points
 from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.sealed import GO_ON, read_sealed, write_sealed
+from pipeline.tiles.weighing import scores_of
 from pipeline.tiles.work import TaskReport
 
 CUTS_FILE = "cuts.json"
@@ -47,13 +49,18 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     core_rows, labels = job.work.load("ground", tile, *LABEL_NAMES)
     scored = scored_points(job, tile)
     counts, cuts = _cuts_of(job, tile)
+    removal = job.configuration.removal
+    score = scores_of(job, tile) if removal.weighs_evidence else None
     removed = []
     place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
         members = np.flatnonzero(scored.cluster == cluster)
         if count < SMALLEST_CLUSTER:
             labels[place[members]] = Label.UNSCORED
-        dynamic = cut.dynamic(scored.density[members], scored.rows[members])
+        if score is None:
+            dynamic = cut.dynamic(scored.density[members], scored.rows[members])
+        else:
+            dynamic = remove_likely(score[members], removal.confidence).dynamic
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
     kept: dict[str, NDArray[Any]] = {"label": labels}
@@ -64,6 +71,8 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         kept["cluster"][place] = scored.cluster + first_cluster(job, tile)
         kept["density"] = np.full(len(core_rows), np.nan)
         kept["density"][place] = scored.density
+        kept["score"] = np.full(len(core_rows), np.nan, np.float32)
+        kept["score"][place] = np.nan if score is None else score
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
         kept["thresholds"] = np.array(limits)
@@ -81,6 +90,8 @@ def _cuts_of(job: Job, tile: int) -> tuple[list[int], list[Cut]]:
     if report is None:
         raise WorkError(f"{job.root}: expected the scores of tile {tile}, found none; {GO_ON}")
     counts = list(report.counts[1:])
+    if job.configuration.removal.weighs_evidence:
+        return counts, [Cut(None)] * len(counts)
     percentages = tile_percentages(job, counts, stored["counts"])
     threshold = job.configuration.removal.threshold
     return counts, find_cuts([KeptScores(job, tile)], counts, percentages, threshold)

@@ -15,6 +15,7 @@ LABELS: dict[str, tuple[DTypeLike, float]] = {"label": (np.uint8, Label.INVALID)
 SCORES: dict[str, tuple[DTypeLike, float]] = {
     "cluster": (np.int32, NO_CLUSTER),
     "density": (np.float64, np.nan),
+    "score": (np.float32, np.nan),
 }
 """Files of one value a row: their types, and what a row has that is in no tile."""
 

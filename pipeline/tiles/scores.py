@@ -1,5 +1,6 @@
 """What is kept of the scores of a tile: by row, and the densities of each cluster in order."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,20 @@ _MOST_MAPPED = 30_000
 """Files looked into at a time, of the 65,530 that Linux allows; more are opened again and again."""
 
 
-def save_scores(job: Job, tile: int, scored: ScoredPoints, centroids: NDArray[np.float64]) -> None:
-    """Keep the scores of a tile, and the centroids of its clusters."""
+def save_scores(
+    job: Job,
+    tile: int,
+    scored: ScoredPoints,
+    centroids: NDArray[np.float64],
+    more: Mapping[str, NDArray[Any]],
+) -> None:
+    """Keep the scores of a tile, the centroids of its clusters, and what else is to be kept."""
     members = (scored.cluster == cluster for cluster in range(len(centroids)))
     ordered = [np.sort(scored.density[of_cluster]) for of_cluster in members]
     kept: dict[str, NDArray[Any]] = {name: getattr(scored, name) for name in _BY_ROW}
     kept[_ORDERED] = np.concatenate([np.empty(0), *ordered])
     kept[_STARTS] = np.cumsum([0, *map(len, ordered)])
-    job.work.save("density", tile, centroids=centroids, **kept)
+    job.work.save("density", tile, centroids=centroids, **kept, **more)
 
 
 def scored_points(job: Job, tile: int) -> ScoredPoints:

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters
+from dynahull.density import SPREAD_COLUMNS
 from pipeline.borders import core_densities
 from pipeline.nearest import FreePoints
 from pipeline.selection import ScoredPoints
@@ -17,6 +18,7 @@ from pipeline.tiles.ground import (
 )
 from pipeline.tiles.job import Job
 from pipeline.tiles.scores import save_scores
+from pipeline.tiles.weighing import scored_voxels
 from pipeline.tiles.work import TaskReport
 
 _NEIGHBOURS_WITHIN = 2.0
@@ -37,6 +39,8 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     # Around a part lies the rest of the tile, as other tiles lie around the tile.
     others = TilesAround(job, tile if sides == 1 else None)
     cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
+    columns = SPREAD_COLUMNS if job.configuration.removal.weighs_evidence else 0
+    spread = np.full((len(free), columns), np.nan, np.float32)
     finished_elsewhere = 0
     for box in divided(region, xyz, sides):
         around = widened(box, _NEIGHBOURS_WITHIN, region)
@@ -51,9 +55,11 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
             job.configuration.method(),
         )
         cluster[known[own]], density[known[own]] = scores.cluster, scores.density
+        spread[known[own]] = scores.spread
         finished_elsewhere += scores.finished_elsewhere
     scored = ScoredPoints(cluster[core], density[core], free.rows[core])
-    save_scores(job, tile, scored, clusters.centroids)
+    voxels = scored_voxels(job, tile, scored.density, spread[core]) if columns else {}
+    save_scores(job, tile, scored, clusters.centroids, voxels)
     counts = np.bincount(scored.cluster, minlength=len(clusters.centroids))
     points = int(job.store.layout.counts[tile])
     return TaskReport(points, (finished_elsewhere, *counts.tolist()))

@@ -19,6 +19,7 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.scoring import score_tile
 from pipeline.tiles.sealed import write_sealed
+from pipeline.tiles.weighing import weigh_tile
 from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import file_of_part, write_part
 from tiling.ledger import noting
@@ -29,6 +30,7 @@ TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "chunk": assemble_tile,
     "ground": find_ground,
     "density": score_tile,
+    "evidence": weigh_tile,
     "label": label_tile,
     "write": write_part,
 }

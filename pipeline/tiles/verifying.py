@@ -64,7 +64,7 @@ class _Verification:
         """Look through all that the rest of the run needs."""
         steps = [self._work.step_path(step) for step in (PLANNING, FITTING, CREATING)]
         self._check([path for path in steps if path.exists()])
-        for stage in ("ground", "density", "label", "write"):
+        for stage in ("ground", "density", "evidence", "label", "write"):
             self._check(self._markers(stage), lambda each: not self._is_chunk(each))
         cut_again = not self._check_chunks()
         decoded = self._job.decoded

@@ -64,10 +64,11 @@ def assert_same(table, result):
     assert table["label"].to_pylist() == titles[result.labels].tolist()
     assert table["cluster"].to_numpy().tobytes() == result.cluster.tobytes()
     assert table["density"].to_numpy().tobytes() == result.density.tobytes()
+    assert table["score"].to_numpy().tobytes() == result.score.tobytes()
 
 
 def assert_same_tables(one, other):
-    for name in ("label", "cluster", "density"):
+    for name in ("label", "cluster", "density", "score"):
         np.testing.assert_array_equal(one[name].to_numpy(), other[name].to_numpy())
 
 
@@ -118,11 +119,11 @@ KINDS = {
     max_points=st.sampled_from([7, 60, 150, 400]),
     halo=st.sampled_from(["0", "0.3", "3", "auto"]),
     ground=st.sampled_from(["none", "slope", "slope and height"]),
-    threshold=st.sampled_from(["rank", "stepped"]),
+    decision=st.sampled_from(["rank", "stepped", "auto"]),
     decoded=st.booleans(),
 )
 def test_labels_clusters_and_densities_are_those_of_the_whole_map(
-    kind, seed, count, max_points, halo, ground, threshold, decoded
+    kind, seed, count, max_points, halo, ground, decision, decoded
 ):
     random = np.random.default_rng(seed)
     points = KINDS[kind](random.permutation(room(count, random)), random)
@@ -130,7 +131,8 @@ def test_labels_clusters_and_densities_are_those_of_the_whole_map(
     wanted = [
         f"ground.method={ground.split()[0]}",
         f"max_height={'1.2' if 'height' in ground else 'null'}",
-        f"removal.threshold={threshold}",
+        "removal.decision=auto" if decision == "auto" else f"removal.threshold={decision}",
+        "removal.confidence=0.2",
         *SMALL_GROUND,
     ]
     with tempfile.TemporaryDirectory() as folder:

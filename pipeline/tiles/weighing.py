@@ -1,0 +1,86 @@
+"""The task that weighs the evidence of one tile, and what its second look makes of it.
+
+A tile reduces its points to voxels once, and reads those of the tiles around: see
+`dynahull.evidence.summaries`. Points of other tiles are never looked at.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.model import FirstRound, evidence_model, final_scores
+from dynahull.evidence.summaries import (
+    REACH,
+    ScoredPoints,
+    around,
+    summarise_ground,
+    summarise_odds,
+    summarise_points,
+)
+from dynahull.evidence.surroundings import Surroundings
+from pipeline.tiles.job import Job
+from pipeline.tiles.work import TaskReport
+
+_UNSCORED, _SCORED, _ODDS = "unscored", "scored", "odds"
+_POINTS = ("own_xyz", "own_height")
+
+
+def unscored_voxels(xyz: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """Return what the ground task keeps of points that are not scored."""
+    return _arrays(_UNSCORED, summarise_ground(xyz))
+
+
+def scored_voxels(
+    job: Job, tile: int, density: NDArray[np.float64], spread: NDArray[np.float32]
+) -> dict[str, NDArray[Any]]:
+    """Return what the density task keeps of points that are scored."""
+    xyz, height = job.work.load("ground", tile, *_POINTS)
+    points = ScoredPoints(xyz, density, spread, height)
+    return {"spread": spread} | _arrays(_SCORED, summarise_points(points))
+
+
+def weigh_tile(job: Job, tile: int) -> TaskReport:
+    """Judge the points of a tile's core by their own terms, and sum up the outcome."""
+    xyz, height = job.work.load("ground", tile, *_POINTS)
+    density, spread = job.work.load("density", tile, "density", "spread")
+    points = ScoredPoints(xyz, density, spread, height)
+    voxels = _around(job, tile, {"ground": _UNSCORED, "density": _SCORED})
+    k = job.configuration.neighbours.k
+    found = evidence_model().first_round(points, k, Surroundings.of(voxels))
+    odds = summarise_odds(xyz, found.log_odds)
+    kept = {"log_odds": found.log_odds, "kept": found.kept} | _arrays(_ODDS, odds)
+    job.work.save("evidence", tile, **kept)
+    return TaskReport(int(job.store.layout.counts[tile]))
+
+
+def scores_of(job: Job, tile: int) -> NDArray[np.float32]:
+    """Return the probability that each scored point of a tile's core moved; all are weighed."""
+    xyz, _ = job.work.load("ground", tile, *_POINTS)
+    (density,) = job.work.load("density", tile, "density")
+    found = FirstRound(*job.work.load("evidence", tile, "log_odds", "kept"))
+    odds = _around(job, tile, {"evidence": _ODDS})
+    return final_scores(evidence_model(), xyz, density, found, odds)
+
+
+def _arrays(name: str, voxels: Voxels) -> dict[str, NDArray[Any]]:
+    return {f"{name}_cells": voxels.cells, f"{name}_sums": voxels.sums}
+
+
+def _around(job: Job, tile: int, names: Mapping[str, str]) -> Voxels:
+    """Return the voxels that decide about a tile's points, of all tiles, by stage and name."""
+    layout = job.store.layout
+    low, high = layout.low[tile], layout.high[tile]
+    map_array: Callable[..., NDArray[Any]] = job.work.map
+    parts = [
+        around(
+            Voxels(map_array(stage, near, f"{name}_cells"), map_array(stage, near, f"{name}_sums")),
+            low,
+            high,
+        )
+        for near in layout.near(low - REACH, high + REACH).tolist()
+        for stage, name in names.items()
+    ]
+    return Voxels.merged(parts)

@@ -1,0 +1,245 @@
+"""The evidence: sums that do not depend on how a map is cut, and terms that follow from them."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from dynahull import Label, clean
+from dynahull.density import reference_spreads
+from dynahull.errors import InvalidParametersError
+from dynahull.evidence.forest import Forest
+from dynahull.evidence.lattice import Voxels, cells_of
+from dynahull.evidence.model import EvidenceModel, evidence_model
+from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.shapes import moments_of, shapes_of
+from dynahull.evidence.summaries import (
+    FINEST,
+    REACH,
+    SCORED,
+    ScoredPoints,
+    around,
+    summarise_ground,
+    summarise_odds,
+    summarise_points,
+)
+from dynahull.evidence.surroundings import Surroundings
+from dynahull.evidence.terms import TERMS, evidence
+from dynahull.kernels import hull_densities
+
+K = 12
+
+
+def scene(count, seed, size=(6.0, 5.0, 2.0)):
+    """Scored points of a map, and points of its ground."""
+    random = np.random.default_rng(seed)
+    xyz = np.concatenate(
+        [
+            random.uniform(size=(count, 3)) * size,
+            random.uniform(size=(count, 3)) * [size[0], 0.02, size[2]],
+        ]
+    )
+    xyz = random.permutation(xyz) + [652_345.5, 5_401_234.25, 431.125]
+    found = hull_densities(xyz, np.arange(len(xyz)), K, spread=True)
+    height = np.where(random.random(len(xyz)) < 0.9, xyz[:, 2] - 431.1, np.nan)
+    ground = random.uniform(size=(count, 3)) * [*size[:2], 0.02] + [652_345.5, 5_401_234.25, 431.1]
+    return ScoredPoints(xyz, found.density, found.spread, height), ground
+
+
+@given(
+    arrays.arrays(np.float64, (40, 3), elements=st.floats(-1e7, 1e7)),
+    st.integers(0, 40),
+)
+@settings(deadline=None)
+def test_voxels_of_parts_add_up_to_those_of_the_whole(points, cut):
+    values = np.arange(80, dtype=np.int64).reshape(40, 2)
+    cells = cells_of(points, FINEST)
+    whole = Voxels.of(cells, values)
+    parts = Voxels.merged(
+        [Voxels.of(cells[cut:], values[cut:]), Voxels.of(cells[:cut], values[:cut])]
+    )
+    assert as_dictionary(parts) == as_dictionary(whole)
+    assert whole.sums.sum(axis=0).tolist() == values.sum(axis=0).tolist()
+    for one, other in zip(cells_of(points, FINEST), points, strict=True):
+        assert (np.floor(other / FINEST) == one).all()
+
+
+def as_dictionary(voxels):
+    return {tuple(cell): tuple(sums) for cell, sums in zip(voxels.cells, voxels.sums, strict=True)}
+
+
+def test_sums_around_a_voxel_are_those_of_its_27():
+    random = np.random.default_rng(0)
+    cells = random.integers(-4, 4, (200, 3)).astype(np.int32)
+    voxels = Voxels.of(cells, np.ones((200, 1), np.int64))
+    for cell, total in zip(voxels.cells, voxels.around()[:, 0], strict=True):
+        assert total == (np.abs(cells - cell).max(axis=1) <= 1).sum()
+
+
+def test_cells_beyond_all_bounds_are_one():
+    cells = cells_of(np.array([[1e150, -1e150, 0.0]]), FINEST)
+    assert cells.tolist() == [[2**30, -(2**30), 0]]
+
+
+@pytest.mark.parametrize("offset", [0.0, 5_401_234.25, -2e8])
+def test_the_shape_of_a_box_is_that_of_its_covariance(offset):
+    random = np.random.default_rng(1)
+    points = random.normal(size=(500, 3)) * [0.02, 0.05, 0.004] + offset + 0.15
+    values = np.column_stack([np.ones(500, np.int64), moments_of(points)])
+    voxels = Voxels.of(cells_of(points, FINEST), values)
+    shapes = shapes_of(voxels.cells, voxels.around(), 0, 1, FINEST)
+    for cell, shape in zip(voxels.cells, shapes, strict=True):
+        near = np.abs(cells_of(points, FINEST) - cell).max(axis=1) <= 1
+        if near.sum() < 5:
+            assert np.isnan(shape).all()
+            continue
+        rounded = np.rint(points[near] / 0.001) - np.rint(offset / 0.001)
+        values, axes = np.linalg.eigh(np.cov(rounded.T, bias=True))
+        spread = np.sqrt(values + 0.25)
+        assert shape[0] == pytest.approx(np.log2(spread[0] / 100), abs=1e-3)
+        assert shape[1] == pytest.approx(np.log2(spread[0] / spread[1]), abs=1e-3)
+        assert shape[2] == pytest.approx(np.log2(spread[1] / spread[2]), abs=1e-3)
+        assert shape[3] == pytest.approx(abs(axes[2, 0]), abs=1e-3)
+
+
+def test_the_compiled_spread_is_that_of_the_plain_version():
+    points, _ = scene(300, 2)
+    plain = reference_spreads(points.xyz, np.arange(len(points)), K)
+    np.testing.assert_allclose(points.spread, plain, rtol=2e-4, atol=2e-6)
+
+
+def test_terms_do_not_depend_on_how_the_map_is_cut():
+    points, ground = scene(1500, 3, size=(16.0, 14.0, 2.0))
+    whole = evidence(
+        points,
+        K,
+        Surroundings.of(Voxels.merged([summarise_points(points), summarise_ground(ground)])),
+    )
+    low = points.xyz[:, :2].min(axis=0) + [4.0, 3.0]
+    high = low + [5.0, 4.0]
+    halves = np.arange(len(points)) % 2 == 0
+    parts = [
+        summarise_points(points.part(halves)),
+        summarise_ground(ground),
+        summarise_points(points.part(~halves)),
+    ]
+    near = Voxels.merged([around(part, low, high) for part in parts])
+    assert len(near) < len(Voxels.merged(parts))
+    inside = ((points.xyz[:, :2] >= low) & (points.xyz[:, :2] < high)).all(axis=1)
+    assert inside.sum() > 100
+    cut = evidence(points.part(inside), K, Surroundings.of(near))
+    assert cut.tobytes() == whole[inside].tobytes()
+    assert cut.shape[1] == len(TERMS)
+
+
+def test_nothing_beyond_the_reach_decides():
+    points, ground = scene(1500, 4, size=(16.0, 14.0, 2.0))
+    voxels = Voxels.merged([summarise_points(points), summarise_ground(ground)])
+    one = points.part(slice(0, 1))
+    away = np.abs((voxels.cells[:, :2] + 0.5) * FINEST - one.xyz[:, :2]).max(axis=1)
+    near = Voxels(voxels.cells[away <= REACH + FINEST], voxels.sums[away <= REACH + FINEST])
+    assert len(near) < len(voxels)
+    alone = evidence(one, K, Surroundings.of(near))
+    assert alone.tobytes() == evidence(one, K, Surroundings.of(voxels)).tobytes()
+
+
+def test_pooled_odds_are_means_over_boxes():
+    points, _ = scene(400, 5)
+    odds = np.random.default_rng(6).normal(size=len(points)).astype(np.float32) * 12
+    pooled = pooled_terms(points.xyz, summarise_odds(points.xyz, odds))
+    cells = cells_of(points.xyz, FINEST)
+    clipped = np.rint(np.clip(odds, -8, 8).astype(np.float64) * 256) / 256
+    for query in range(0, len(points), 97):
+        for level in range(5):
+            near = np.abs((cells >> level) - (cells[query] >> level)).max(axis=1) <= 1
+            mean, likely = (
+                POOLED_TERMS.index(f"{name}_{0.3 * 2**level:.1f}") for name in ("pooled", "likely")
+            )
+            assert pooled[query, mean] == pytest.approx(clipped[near].mean(), abs=1e-4)
+            assert pooled[query, likely] == pytest.approx((odds[near] > 0).mean(), abs=1e-6)
+
+
+STORED = {
+    "terms": ["a", "b"],
+    "baseline": -1.0,
+    "trees": [
+        [["a", 0.5, 2, "left"], [1.0], ["b", -2.0, 4, "right"], [2.0], [4.0]],
+        [[0.25]],
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("terms", "expected"),
+    [
+        ([0.5, 0.0], 0.25),
+        ([0.6, -2.0], 1.25),
+        ([0.6, 0.0], 3.25),
+        ([np.nan, 0.0], 0.25),
+        ([1.0, np.nan], 3.25),
+    ],
+)
+def test_a_forest_adds_up_its_leaves(terms, expected):
+    found = Forest.of(STORED).log_odds(np.array([terms], np.float32))
+    assert found.tolist() == [expected]
+
+
+@pytest.mark.parametrize(
+    "trees",
+    [
+        [[["a", 0.5, 9, "left"], [1.0], [2.0]]],
+        [[["a", 0.5, 0, "left"], [1.0], [2.0]]],
+        [[["c", 0.5, 2, "left"], [1.0], [2.0]]],
+        [[["a", 0.5, 2, "left"], [1.0]]],
+        "trees",
+    ],
+)
+def test_trees_that_are_not_whole_are_refused(trees):
+    with pytest.raises(InvalidParametersError, match="expected whole ones"):
+        Forest.of(STORED | {"trees": trees})
+
+
+def test_a_model_of_other_terms_is_refused():
+    with pytest.raises(InvalidParametersError, match="expected the terms of this version"):
+        EvidenceModel.of({"first": STORED, "second": STORED})
+
+
+def test_threads_change_nothing_about_a_score():
+    points, ground = scene(3000, 7)
+    voxels = Voxels.merged([summarise_points(points), summarise_ground(ground)])
+    model, surroundings = evidence_model(), Surroundings.of(voxels)
+    one, two = (model.first_round(points, K, surroundings, threads) for threads in (1, 2))
+    assert one.log_odds.tobytes() == two.log_odds.tobytes()
+    odds = summarise_odds(points.xyz, one.log_odds)
+    rounds = [model.second_round(points.xyz, one, odds, threads) for threads in (1, 2)]
+    assert rounds[0].tobytes() == rounds[1].tobytes()
+
+
+def test_the_more_confidence_is_asked_for_the_fewer_points_go():
+    points, ground = scene(2500, 8)
+    xyz = np.concatenate([points.xyz, ground])
+    results = [
+        clean(xyz, removal={"decision": "auto", "confidence": confidence}, neighbours={"k": K})
+        for confidence in (0.1, 0.5, 0.9)
+    ]
+    removed = [result.labels == Label.DYNAMIC for result in results]
+    assert removed[0].sum() >= removed[1].sum() >= removed[2].sum()
+    for result, of_result, confidence in zip(results, removed, (0.1, 0.5, 0.9), strict=True):
+        assert (of_result == (np.nan_to_num(result.score) >= confidence)).all()
+        scored = np.isin(result.labels, [Label.STATIC, Label.DYNAMIC])
+        assert (np.isfinite(result.score) == scored).all()
+
+
+def test_the_paper_weighs_no_evidence():
+    points, _ = scene(500, 9)
+    result = clean(points.xyz, ground={"method": "none"}, neighbours={"k": K})
+    assert np.isnan(result.score).all()
+    assert summarise_points(points).sums[:, SCORED].sum() == len(points)
+
+
+def test_the_model_file_is_plain_json():
+    json.dumps(STORED)
+    assert evidence_model().first.terms == TERMS
