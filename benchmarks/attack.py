@@ -122,11 +122,13 @@ class Campaign:
         self._digest = digest_of(map_file)
         self._folder = folder
         self._settings = [word for each in settings for word in ("--set", each)]
+        process = self.start(Fault())
+        self.wait_for_work(process)
         begun = time.perf_counter()
-        code, _ = self.run(Fault())
+        process.join()
         self.seconds = time.perf_counter() - begun
-        if code:
-            raise HarmError(f"an undisturbed run ended with {code}: {self._errors()}")
+        if process.exitcode:
+            raise HarmError(f"an undisturbed run: exit code {process.exitcode}, {self._errors()}")
         self.calls = int((self._folder / "calls").read_text())
         self._expected = self.results()
 
@@ -136,6 +138,11 @@ class Campaign:
         process = PROCESSES.Process(target=run_with, args=(arguments, fault, self._folder))
         process.start()
         return process
+
+    def wait_for_work(self, process: BaseProcess) -> None:
+        """Wait until a run has begun to leave work, or has ended."""
+        while process.is_alive() and not (self.out / WORK).exists():
+            time.sleep(0.002)
 
     def run(self, fault: Fault) -> tuple[int, list[str]]:
         """Run, and return the exit code and the lines of errors."""
@@ -162,6 +169,9 @@ class Campaign:
         if code or errors:
             raise HarmError(f"the same command again: exit code {code}, {errors}")
         self.check_results()
+        hidden = [path.name for path in self.out.glob(".*")]
+        if hidden:
+            raise HarmError(f"left behind: {hidden}")
         if digest_of(self._map) != self._digest:
             raise HarmError(f"{self._map} was changed")
         shutil.rmtree(self.out)
@@ -170,7 +180,7 @@ class Campaign:
         """Check that the results are those of a run that nothing disturbed."""
         found = self.results()
         wrong = {name for name in self._expected if found.get(name) != self._expected[name]}
-        if wrong or (self.out / WORK).exists():
+        if wrong:
             raise HarmError(f"not as they should be: {sorted(wrong)}; {sorted(found)}")
 
     def results(self) -> dict[str, str]:
@@ -187,13 +197,14 @@ class Campaign:
 def damage(campaign: Campaign) -> str:
     """Kill a run, and damage what it leaves."""
     process = campaign.start(Fault())
-    process.join(campaign.chance.uniform(0.2, 0.95) * campaign.seconds)
+    campaign.wait_for_work(process)
+    process.join(campaign.chance.uniform(0.1, 0.9) * campaign.seconds)
     if process.is_alive() and process.pid is not None:
         os.killpg(process.pid, signal.SIGKILL)
     process.join()
     files = [path for path in sorted((campaign.out / WORK).rglob("*")) if path.is_file()]
     if not files:
-        return "killed before it left anything, or too late"
+        return "ended before it was killed"
     for path in campaign.chance.sample(files, campaign.chance.randint(1, min(4, len(files)))):
         campaign.chance.choice(DAMAGE)(path, campaign.chance)
     return "killed, and damaged"

@@ -14,7 +14,7 @@ from dynahull.clustering import Clusters, sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
-from dynahull.strays import OUTSKIRTS_NAMES, Outskirts
+from dynahull.strays import OUTSKIRTS_NAMES, Outskirts, Strays
 from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
@@ -120,24 +120,26 @@ def plan_tiles(
         job.store.make()
         warn_of_set_aside(job, observer)
         return
-    with noting() as written:
-        try:
-            survey = _whole_survey(job, reports)
-            warn_of_set_aside(job, observer)
-            plan = make_plan(job.collection, survey, job.configuration, executor.workers)
-            check(plan)
-        except (PlanError, GridError):
-            # Refused: there is nothing to go on with.
-            remove_work(job.root)
-            raise
-        overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
-        if overfull:
-            observer.warn(
-                f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
-                f"{plan.layout.cell:g} m wide, is not divided"
-            )
+    try:
+        survey, strays, left_out = _whole_survey(job, reports)
+        with noting() as written:
+            save_set_aside(job, strays, left_out)
+        warn_of_set_aside(job, observer)
+        plan = make_plan(job.collection, survey, job.configuration, executor.workers)
+        check(plan)
+    except (PlanError, GridError):
+        # Refused: there is nothing to go on with.
+        remove_work(job.root)
+        raise
+    overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
+    if overfull:
+        observer.warn(
+            f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
+            f"{plan.layout.cell:g} m wide, is not divided"
+        )
+    with noting() as stored:
         _store(job, plan, survey, compression).save()
-    job.work.finish_step(PLANNING, written)
+    job.work.finish_step(PLANNING, [*written, *stored])
 
 
 def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver, stage: str) -> None:
@@ -197,8 +199,10 @@ def _fitted(job: Job, observer: StageObserver, fit: Fit) -> Clusters:
     return fit(xyz, parameters)
 
 
-def _whole_survey(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Survey:
-    """Put the surveys of all ranges of rows together, and find who takes no part."""
+def _whole_survey(
+    job: Job, reports: Iterator[tuple[int, TaskReport]]
+) -> tuple[Survey, Strays, int]:
+    """Put the surveys of all ranges of rows together; count the points that take no part."""
     outskirts = Outskirts(job.configuration.neighbours.k)
     left_out = 0
 
@@ -213,8 +217,7 @@ def _whole_survey(job: Job, reports: Iterator[tuple[int, TaskReport]]) -> Survey
 
     merged = merge(surveys())
     strays = outskirts.strays()
-    save_set_aside(job, strays, left_out)
-    return survey_of_others(merged, strays)
+    return survey_of_others(merged, strays), strays, left_out
 
 
 def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) -> ChunkStore:

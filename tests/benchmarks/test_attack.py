@@ -25,5 +25,5 @@ def test_no_attack_does_harm(tmp_path, monkeypatch, capsys):
     told = capsys.readouterr().out
     assert ended.value.code == 0, told
     assert "no harm" in told
-    assert "killed, and damaged" in told
+    assert "damage: " in told
     assert "failed, one line" in told

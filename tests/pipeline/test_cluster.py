@@ -131,7 +131,7 @@ class TestScriptOfTheRun:
         shell = pairs["Arguments"].removeprefix("\"-c '").removesuffix("'\"").replace("''", "'")
         first, second, run = shell.split("; ")
         assert (first, second) == ("module load python", "umask 027")
-        assert shlex.split(run)[:6] == [
+        assert shlex.split(run)[:7] == [
             "exec", sys.executable, "-P", "-m", "pipeline", "run", str(map_file),
         ]  # fmt: skip
 

@@ -10,6 +10,7 @@ from copy import deepcopy
 import dask
 import psutil
 import pytest
+from distributed import LocalCluster
 
 from pipeline.errors import ConfigurationError
 from pipeline.temporary import temporary_folder
@@ -99,6 +100,15 @@ def test_nobody_else_may_connect(client):
     assert len(said) == 2 * len(every)
     assert [line for line in said if not line.startswith("refused")] == []
     assert client.submit(sum, (1, 2)).result() == 3
+
+
+def test_a_scheduler_without_keys_would_talk_to_anybody():
+    with LocalCluster(
+        n_workers=0, processes=False, protocol="tcp://", dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    ) as cluster:  # fmt: skip
+        address = cluster.scheduler_address.replace("tcp", "tls")
+        assert "talked tcp://" in as_another_user(STRANGER, address)
 
 
 def test_only_this_machine_may_knock(client):
