@@ -1,11 +1,12 @@
-"""Files that appear whole or not at all, and files that several processes fill in."""
+"""Files that appear whole or not at all."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 from uuid import uuid4
+
+from tiling.output_file import check_place
 
 TEMPORARY = ".part"
 """Suffix of a file that is being written; one that is left over belongs to a killed process."""
@@ -28,7 +29,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
     Path
         A name beside it, for a file that the caller writes and closes.
     """
-    temporary = path.with_name(f".{path.name}.{uuid4().hex[:12]}{TEMPORARY}")
+    check_place(path)
+    # Not longer than most names: there are names that leave no room for more.
+    temporary = path.with_name(f".{uuid4().hex}{TEMPORARY}")
     try:
         yield temporary
         _flush(temporary)
@@ -45,13 +48,3 @@ def _flush(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def write_only(path: Path) -> BinaryIO:
-    """Open a file that is there to write bytes anywhere in it, beside other processes.
-
-    Not to be read from: NFS then sends the very bytes that were written. Of a file that may be
-    read as well it reads, and later writes back, whole pages, and so undoes what other machines
-    wrote there.
-    """
-    return os.fdopen(os.open(path, os.O_WRONLY), "wb")

@@ -18,10 +18,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.atomic import write_only
 from tiling.errors import ChunkError
 from tiling.formats.base import PointBatch
 from tiling.formats.collection import MapCollection
+from tiling.output_file import create_file, write_only
 
 _COORDINATES = np.dtype((np.float64, 3))
 
@@ -63,7 +63,8 @@ class KeptPoints:
 
     def make(self) -> None:
         """Make the file, of its full size: several processes fill it in."""
-        with self.path.open("wb") as stream:
+        self.path.unlink(missing_ok=True)
+        with create_file(self.path) as stream:
             stream.truncate(self.size)
 
     def keep(self, batches: Iterator[tuple[int, PointBatch]]) -> Iterator[PointBatch]:

@@ -11,12 +11,14 @@ from tiling.atomic import atomic_file
 
 INDEX_FILE = "index.html"
 
+_OWN_TITLE = "<title>dynahull-pipeline: night of "
+
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>dynahull-pipeline: night of {night}</title>
+{title}{night}</title>
 <style>
 :root {{ color-scheme: light dark; }}
 body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem;
@@ -65,11 +67,20 @@ def write_index(folder: Path, summary: NightSummary) -> None:
         temporary.write_text(index_page(summary), encoding="utf-8")
 
 
+def is_index(path: Path) -> bool:
+    """Tell whether a file is a page that a night wrote."""
+    try:
+        return _OWN_TITLE in path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+
+
 def index_page(summary: NightSummary) -> str:
     """Return the page: what went wrong first, then the maps by name."""
     lines = sorted(summary.maps, key=lambda line: (line.outcome not in _BAD, line.map))
     problems = "".join(f'<p class="bad">{escape(each)}</p>\n' for each in summary.problems)
     return _PAGE.format(
+        title=_OWN_TITLE,
         night=f"{datetime.fromisoformat(summary.night):{_MINUTE}}",
         text=escape(summary.to_text()),
         code=summary.exit_code,

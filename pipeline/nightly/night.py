@@ -25,6 +25,7 @@ from pipeline.nightly.inventory import (
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
 from pipeline.nightly.lock import night_lock
 from pipeline.nightly.minutes import Minutes
+from pipeline.nightly.own_files import refuse_to_replace
 from pipeline.nightly.results import (
     MapFolder,
     is_finished,
@@ -39,6 +40,7 @@ from pipeline.nightly.summary import MapOutcome, NightSummary
 from pipeline.nightly.triage import Candidate, in_turn, verdict
 from pipeline.outputs import folder_is_locked
 from pipeline.resources import check_space
+from tiling.output_file import writing_only_into
 
 STATE_FOLDER = ".nightly"
 """Within the output folder: lock and journal."""
@@ -87,7 +89,8 @@ def clean_nightly(
     """
     state = settings.output / STATE_FOLDER
     state.mkdir(parents=True, exist_ok=True)
-    with night_lock(state):
+    with night_lock(state), writing_only_into(settings.output):
+        refuse_to_replace(settings.output)
         night = _Night(settings, cleaner, clock, end, Journal(state))
         if retry:
             night.forget_failures()

@@ -5,11 +5,14 @@ from pathlib import Path
 
 from pipeline.configuration import Configuration
 from pipeline.errors import OutputError
+from pipeline.evaluation.picture import drawing_library
 from pipeline.machine import available_cores
 from pipeline.map_state import unchanged
+from pipeline.named_file import check_named_file
 from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, make_plan
 from pipeline.progress import StageObserver
+from pipeline.replacing import refuse_own_folders
 from pipeline.resources import check_one_tile, is_one_tile
 from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
@@ -17,10 +20,14 @@ from pipeline.tiles.opening import open_job
 from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from pipeline.workers import workers_for
 from tiling.formats.collection import MapCollection, content_hash, find_map_files
+from tiling.output_file import writing_only_into
 from tiling.survey import survey
 
 _PRODUCTS = ("chunks", "store.json")
 """What `tile` leaves; a folder that has the last of them is whole."""
+
+_PUBLISHING = "publishing"
+"""Within the work folder: they are being moved, so that those in the folder are no others."""
 
 
 def plan_map(
@@ -34,7 +41,11 @@ def plan_map(
         `PlanError` where the run would be refused.
     """
     workers = available_cores(configuration.execution.workers)
-    collection = MapCollection(find_map_files(maps), threads=workers)
+    paths = find_map_files(maps)
+    if picture is not None:
+        check_named_file(picture, ".png", paths)
+        drawing_library()  # before the work, not after it
+    collection = MapCollection(paths, threads=workers)
     observer.stage("survey", collection.point_count)
     surveyed = survey(collection)
     observer.finish()
@@ -68,11 +79,12 @@ def tile_map(
         With no chunk in the folder.
     """
     paths = find_map_files(maps)
+    refuse_own_folders(output, paths)
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
     try:
-        with locked_folder(output), unchanged(paths) as state:
-            _take_back(output, work / CHUNKS_FOLDER)
+        with locked_folder(output), writing_only_into(output), unchanged(paths) as state:
+            _take_back(output, work)
             if {path.name for path in output.iterdir()} - {WORK_FOLDER, REMOVED_FOLDER}:
                 raise OutputError(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
@@ -91,6 +103,7 @@ def tile_map(
                 gather_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)
+            (work / _PUBLISHING).touch()
             for name in _PRODUCTS:
                 (work / CHUNKS_FOLDER / name).rename(output / name)
             remove_work(work)
@@ -102,6 +115,9 @@ def tile_map(
 
 def _take_back(output: Path, work: Path) -> None:
     """Take back what a run published that was killed before it had ended."""
+    if not (work / _PUBLISHING).exists():
+        return  # what is there is the user's
+    chunks = work / CHUNKS_FOLDER
     for name in _PRODUCTS:
-        if work.is_dir() and (output / name).exists() and not (work / name).exists():
-            (output / name).rename(work / name)
+        if (output / name).exists() and not (chunks / name).exists():
+            (output / name).rename(chunks / name)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from tiling.atomic import write_only
+from tiling.output_file import create_file, write_only
 
 _AT_A_TIME = 1 << 22
 
@@ -19,7 +19,8 @@ def make_rows(path: Path, count: int, dtype: DTypeLike, value: float) -> None:
         return
     temporary = path.with_suffix(".part")
     block = np.full(min(count, _AT_A_TIME), value, kind)
-    with temporary.open("wb") as stream:
+    temporary.unlink(missing_ok=True)
+    with create_file(temporary) as stream:
         for start in range(0, count, _AT_A_TIME):
             stream.write(block[: count - start].data)
     temporary.replace(path)

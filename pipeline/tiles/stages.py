@@ -19,6 +19,7 @@ from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.scoring import score_tile
 from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import write_part
+from tiling.output_file import writing_only_into
 
 TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "survey": survey_rows,
@@ -56,11 +57,12 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     begun = time.perf_counter()
     if stage in READING:
         check_map(job.paths, job.state)
-    report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
-    if stage in READING:
-        check_map(job.paths, job.state)
-    report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
-    job.work.finish(stage, number, report)
+    with writing_only_into(job.root):
+        report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
+        if stage in READING:
+            check_map(job.paths, job.state)
+        report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
+        job.work.finish(stage, number, report)
     if stage in DIVISIBLE:
         give_memory_back()
     return report

@@ -136,7 +136,8 @@ def plan_parts(job: Job, files: Sequence[int], outputs: Sequence[Sequence[Path]]
     if earlier is not None and earlier.mode == mode_wanted:
         return earlier
     _parts_path(job).unlink(missing_ok=True)
-    shutil.rmtree(job.root / "write", ignore_errors=True)
+    for left in ("write", GROWING):
+        shutil.rmtree(job.root / left, ignore_errors=True)
     writers: dict[int, tuple[PartWriter, ...]] = {}
     parts = []
     for file in files:

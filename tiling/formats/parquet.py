@@ -26,6 +26,7 @@ from tiling.formats.base import (
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.output_file import create_file
 
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
@@ -239,8 +240,9 @@ class _ParquetWriter(MapWriter):
         self._schema = schema
         self._gathered: list[pa.Table] = []
         self._rows = 0
+        self._file = create_file(path)
         self._writer = pq.ParquetWriter(
-            path,
+            self._file,
             schema,
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
@@ -257,12 +259,14 @@ class _ParquetWriter(MapWriter):
             self._write_groups(self._rows - self._rows % self._group_rows)
 
     def _finish(self) -> None:
-        self._write_groups(self._rows)
-        self._writer.close()
+        with self._file:
+            self._write_groups(self._rows)
+            self._writer.close()
 
     def _abandon(self) -> None:
         self._gathered = []
-        self._writer.close()
+        with self._file:
+            self._writer.close()
 
     def _write_groups(self, rows: int) -> None:
         """Write that many of the rows gathered."""

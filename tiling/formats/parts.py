@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.atomic import write_only
 from tiling.errors import PointCountError
 from tiling.formats.base import MapWriter
+from tiling.output_file import create_file, write_only
 
 
 @dataclass(slots=True)
@@ -64,7 +64,7 @@ class PartWriter(ABC):
 
     def create(self) -> None:
         """Write all but the points, and give the file its full size."""
-        with self.path.open("wb") as file:
+        with create_file(self.path) as file:
             self._write_surroundings(file)
 
     def open_part(self, first: int) -> "MapPart":
