@@ -95,9 +95,10 @@ def cache_folder(sources: Path) -> Path | None:
 
     They are `$NUMBA_CACHE_DIR`, the user's cache and the system's folder for temporary files.
     """
-    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    temporary = Path(tempfile.gettempdir()) / f"dynahull-{os.getuid()}"
-    parents = [user_cache / "dynahull", temporary]
+    parents = [Path(tempfile.gettempdir()) / f"dynahull-{os.getuid()}"]
+    user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111
+    if not user_cache.startswith("~"):  # nobody knows this user's home
+        parents.insert(0, Path(user_cache) / "dynahull")
     if numba.config.CACHE_DIR:
         parents.insert(0, Path(numba.config.CACHE_DIR) / "dynahull")
     for parent in parents:
@@ -134,7 +135,7 @@ def _fingerprint(sources: Path) -> str:
     """
     digest = hashlib.sha256()
     for source in sorted(sources.glob("*.py")):
-        digest.update(f"{source.resolve()} {source.stat().st_mtime_ns}".encode())
+        digest.update(os.fsencode(f"{source.resolve()} {source.stat().st_mtime_ns}"))
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SkipValidation
 
+from pipeline.showing import printable
 from tiling.formats import MapReader
 from tiling.formats.collection import MapCollection, find_map_files
 
@@ -14,7 +16,7 @@ from tiling.formats.collection import MapCollection, find_map_files
 class FileInfo(BaseModel):
     """What one file says of itself."""
 
-    path: str
+    path: Annotated[str, SkipValidation]
     format: str
     size_bytes: int
     points: int
@@ -68,7 +70,7 @@ class MapInfo(BaseModel):
         """Return the information as aligned lines."""
         lines = []
         for file in self.files:
-            lines += [f"file        {file.path}", f"format      {file.format}"]
+            lines += [f"file        {printable(file.path)}", f"format      {file.format}"]
             lines += [f"points      {file.points:,}", f"size        {file.size_bytes:,} bytes"]
             lines += [f"fields      {', '.join(file.fields)}", f"CRS         {file.crs or 'none'}"]
             lines += [f"note        {note}" for note in file.notes] + [""]

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.errors import OutputError
+from pipeline.showing import is_text, printable
 
 
 def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> None:
@@ -25,6 +26,8 @@ def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> No
     OutputError
     """
     folder = path.absolute().parent
+    if not is_text(path):
+        raise OutputError(f"{printable(path)}: expected a name that is UTF-8")
     if not folder.is_dir():
         raise OutputError(f"{path}: expected a folder to write in, found none")
     if not os.access(folder, os.W_OK):

@@ -26,6 +26,7 @@ from pipeline.replacing import (
     remove_earlier_results,
     remove_half_published,
 )
+from tiling.durable import sync_path
 from tiling.formats import MapReader
 from tiling.output_file import create_file, writing_only_into
 
@@ -208,24 +209,16 @@ def _publish(staging: Path, folder: Path) -> None:
     files = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
     files.sort(key=lambda name: name == Path(RUN_FILE))
     for name in files:
-        _flush(staging / name)
-    _flush(record_publishing(staging, folder, files))
-    _flush(staging)
+        sync_path(staging / name)
+    sync_path(record_publishing(staging, folder, files))
+    sync_path(staging)
     remove_earlier_results(folder)
-    _flush(folder)
+    sync_path(folder)
     for name in files:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).replace(folder / name)
     for name in {(folder / name).parent for name in files}:
-        _flush(name)
-
-
-def _flush(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+        sync_path(name)
 
 
 def located(path: Path) -> Path:

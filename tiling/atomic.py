@@ -1,11 +1,11 @@
 """Files that appear whole or not at all."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
+from tiling.durable import sync_path
 from tiling.output_file import check_place
 
 TEMPORARY = ".part"
@@ -34,17 +34,8 @@ def atomic_file(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{uuid4().hex}{TEMPORARY}")
     try:
         yield temporary
-        _flush(temporary)
+        sync_path(temporary)
         temporary.replace(path)
-        _flush(path.parent)
+        sync_path(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -87,7 +87,7 @@ def submit_run(
         (path, script),
     ):
         with atomic_file(name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", errors="surrogateescape")
     job = system.submit_script(path.resolve())
     record_submitted(folder, system.name, job)
     return job, folder

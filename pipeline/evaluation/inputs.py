@@ -4,8 +4,6 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow.parquet as pq
-
 from dynahull import Label
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.labels import (
@@ -19,6 +17,7 @@ from pipeline.evaluation.row_values import RowValues
 from pipeline.outputs import LABELS_FILE, RUN_FILE
 from pipeline.result import label_batches, table_batches
 from tiling.formats.collection import MapCollection, find_map_files
+from tiling.parquet_file import row_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,7 @@ def find_inputs(
         if original_map is None:
             raise EvaluationError(f"{truth}: labels are of an original map; give it by --original")
         labels = read_label_table(Path(truth), options.labels, dynamic, unlabelled)
-        rows = pq.read_metadata(truth).num_rows
+        rows = row_count(Path(truth))
         if rows != original_map.point_count:
             raise EvaluationError(
                 f"{truth}: expected labels of the {original_map.point_count:,} points of "
@@ -165,7 +164,7 @@ def _removed_rows(
         return RowValues(lambda: (~each for each in kept))
     if not run.labels.is_file():
         return None
-    rows = pq.read_metadata(run.labels).num_rows
+    rows = row_count(run.labels)
     if rows != original.point_count:
         raise EvaluationError(
             f"{run.labels}: expected a label of the {original.point_count:,} points of "

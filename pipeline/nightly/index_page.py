@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from pipeline.nightly.results import begun
 from pipeline.nightly.summary import FAILURES, MapLine, MapOutcome, NightSummary
+from pipeline.showing import printable
 from tiling.atomic import atomic_file
 
 INDEX_FILE = "index.html"
@@ -94,7 +95,7 @@ def _row(line: MapLine) -> str:
     outcome = f'<span class="bad">{line.outcome}</span>' if line.outcome in _BAD else line.outcome
     if line.reason:
         tries = f" ({line.attempts} nights)" if line.attempts > 1 else ""
-        outcome += f'<div class="reason">{escape(line.reason)}{tries}</div>'
+        outcome += f'<div class="reason">{escape(printable(line.reason))}{tries}</div>'
     result = ""
     if line.run and line.report:
         result = f'<a href="{quote(line.report)}">report of {_run_time(line.run)}</a>'
@@ -105,7 +106,7 @@ def _row(line: MapLine) -> str:
         removed = f"{line.removed:,} ({100 * line.removed / line.points:.1f}&nbsp;%)"
     seconds = "" if line.seconds is None else f"{line.seconds:,.0f}"
     return (
-        f'<tr><td class="map">{escape(line.map)}</td><td>{outcome}</td><td>{result}</td>'
+        f'<tr><td class="map">{escape(printable(line.map))}</td><td>{outcome}</td><td>{result}</td>'
         f'<td class="number" data-of="points">{points}</td>'
         f'<td class="number" data-of="removed">{removed}</td>'
         f'<td class="number" data-of="seconds">{seconds}</td></tr>'

@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,6 +25,8 @@ from multiprocessing import forkserver, resource_tracker, util
 from pathlib import Path
 from threading import Thread
 from typing import Any
+
+from pipeline.errors import OutputError
 
 ONE_THREAD = dict.fromkeys(
     (
@@ -60,6 +63,9 @@ _PRELOADED = "pipeline.tiles.preloaded"
 _OF_ARROW = "jemalloc_bg_thd"
 """What the thread of Arrow's memory pool is called, which is there once Arrow is imported."""
 
+_LONGEST_FOLDER = 60
+"""Bytes of a folder's name: a socket's has 107, and 37 are of what multiprocessing puts behind."""
+
 _stopping: list[Thread] = []
 """Wait for the end of an earlier such process, which must not be taken for the next."""
 
@@ -82,7 +88,8 @@ def start_fork_server() -> None:
     while _stopping:
         _stopping.pop().join()
     multiprocessing.get_context("forkserver").set_forkserver_preload([_PRELOADED])
-    with _environment(ONE_THREAD | {name: str(value) for name, (_, value) in _MALLOC.items()}):
+    environment = ONE_THREAD | {name: str(value) for name, (_, value) in _MALLOC.items()}
+    with _environment(environment), _replaced(tempfile, "tempdir", _folder_of_sockets()):
         if has_one_thread():
             import_module(_PRELOADED)
             resource_tracker.ensure_running()  # which the server itself would start
@@ -90,6 +97,34 @@ def start_fork_server() -> None:
                 forkserver.ensure_running()
         else:
             forkserver.ensure_running()
+
+
+def _folder_of_sockets() -> str:
+    """Return the folder for temporary files, or one of a shorter name where sockets need it.
+
+    What lies there is in a new folder that nobody else can open.
+    """
+    folders = [tempfile.gettempdir(), "/tmp", "/var/tmp", f"/run/user/{os.getuid()}", "/dev/shm"]
+    for folder in folders:
+        if len(os.fsencode(folder)) <= _LONGEST_FOLDER and _takes_files(folder):
+            return folder
+    raise OutputError(
+        f"TMPDIR: expected a folder whose name has at most {_LONGEST_FOLDER} bytes, as sockets "
+        f"need it, found {folders[0]}; or set execution.workers=1"
+    )
+
+
+def _takes_files(folder: str) -> bool:
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def can_start_workers() -> bool:
+    """Tell whether processes can wait for each other: semaphores lie in `/dev/shm` on Linux."""
+    return sys.platform != "linux" or os.access("/dev/shm", os.W_OK | os.X_OK)
 
 
 def stop_fork_server() -> None:

@@ -14,6 +14,7 @@ from pipeline.plan import check_plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
 from pipeline.resources import check_one_tile, is_one_tile
+from pipeline.showing import only_showing, printable
 from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
 from pipeline.tiles.opening import open_job
@@ -55,17 +56,20 @@ def plan_map(
         whole = configuration.tiling.model_copy(update=tiling)
         configuration = configuration.model_copy(update={"tiling": whole})
     plan = make_plan(collection, surveyed, configuration, workers)
+    drawn = ""
     if picture is not None:
         from pipeline.plan_picture import draw_plan  # noqa: PLC0415 (an optional package)
 
-        draw_plan(plan, surveyed, picture)
+        with only_showing(str(picture), observer.warn):
+            draw_plan(plan, surveyed, picture)
+            drawn = f"\ndrawn:             {printable(picture)}"
     text = plan.to_text()
     if one_tile:
         check_one_tile(collection, configuration)
         text += "\none tile: cleaned in memory, without temporary files"
     else:
         check_plan(plan, configuration, Path())
-    return text if picture is None else f"{text}\ndrawn:             {picture}"
+    return text + drawn
 
 
 def tile_map(

@@ -1,12 +1,12 @@
 """One value for each row of the map, in a file: labels, densities, classes."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from tiling.durable import sync
 from tiling.output_file import create_file, write_only
 
 _AT_A_TIME = 1 << 22
@@ -39,4 +39,4 @@ def write_rows(path: Path, first_row: int, values: NDArray[Any]) -> None:
         stream.seek(first_row * values.itemsize)
         stream.write(np.ascontiguousarray(values).data)
         stream.flush()
-        os.fsync(stream.fileno())
+        sync(stream.fileno())

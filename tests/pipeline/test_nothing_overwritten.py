@@ -36,7 +36,7 @@ FORMATS = ("npy", "pcd", "ply", "parquet", "laz", "npz")
 
 
 def points(count=400, seed=0):
-    return np.random.default_rng(seed).uniform(size=(count, 3)) * [8, 8, 2]
+    return np.random.default_rng(seed).uniform(size=(count, 3)).round(3) * [8, 8, 2]
 
 
 def save(path, count=400, seed=0):
@@ -123,7 +123,8 @@ def map_of(suffix, folder):
     if suffix == "npz":
         np.savez(path, points=points(10))
     elif suffix == "parquet":
-        pq.write_table(pa.table(dict(zip("xyz", points(10).T, strict=True))), path)
+        with path.open("wb") as file:  # by name Arrow writes UTF-8 names only
+            pq.write_table(pa.table(dict(zip("xyz", points(10).T, strict=True))), file)
     elif suffix == "laz":
         las = laspy.create(point_format=6, file_version="1.4")
         las.x, las.y, las.z = points(10).T

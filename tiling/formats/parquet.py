@@ -27,6 +27,7 @@ from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
+from tiling.parquet_file import open_parquet
 
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
@@ -292,7 +293,7 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
             expected = "PAR1 at the end of a whole Parquet file"
             raise MapFormatError(path, expected, "other bytes", at=f"byte {max(size - 4, 0)}")
     try:
-        with pq.ParquetFile(
+        with open_parquet(
             path,
             buffer_size=_READ_BUFFER,
             pre_buffer=False,

@@ -5,7 +5,6 @@ how many points come before it. The bytes are those that one process writes, sin
 writes a single part.
 """
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.durable import sync
 from tiling.errors import PointCountError
 from tiling.formats.base import MapWriter
 from tiling.output_file import create_file, write_only
@@ -157,7 +157,7 @@ class MapPart:
     def flush(self) -> None:
         """Wait until what was written is on the disk."""
         self._file.flush()
-        os.fsync(self._file.fileno())
+        sync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file."""
