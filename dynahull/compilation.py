@@ -9,6 +9,7 @@ can be written, each process compiles.
 
 import hashlib
 import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -120,7 +121,7 @@ def _fingerprint(sources: Path) -> str:
     """
     digest = hashlib.sha256()
     for source in sorted(sources.glob("*.py")):
-        digest.update(f"{source.resolve()} {source.stat().st_mtime_ns}".encode())
+        digest.update(os.fsencode(f"{source.resolve()} {source.stat().st_mtime_ns}"))
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -2,6 +2,8 @@
 
 import atexit
 import gc
+import io
+import json
 import logging
 import os
 import signal
@@ -147,7 +149,7 @@ def info_command(
     from pipeline.info import inspect_map  # noqa: PLC0415
 
     info = inspect_map(maps)
-    typer.echo(info.model_dump_json(indent=2) if as_json else info.to_text())
+    typer.echo(json.dumps(info.model_dump(mode="json"), indent=2) if as_json else info.to_text())
 
 
 @app.command("view")
@@ -244,8 +246,7 @@ app.command("preview")(preview_command)
 
 def main() -> NoReturn:
     """Run the command line, and turn every error that is expected into one line."""
-    if sys.stderr is None:  # closed by the caller
-        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+    _open_streams()
     logging.basicConfig(
         level=logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -276,6 +277,26 @@ def main() -> NoReturn:
         message = " ".join(str(error).split()) or type(error).__name__
         _fail(printable(message, LONGEST_LINE), code)
     sys.exit(0)
+
+
+def _open_streams() -> None:
+    """Make up for streams that the caller closed, and let no name that is not text end a command.
+
+    A file that is opened later would else get the number of a closed stream, and whatever is
+    printed there.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            stream = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, stream)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def leave_at_once() -> NoReturn:

@@ -9,13 +9,14 @@ import fcntl
 import logging
 import os
 import stat
+from functools import cache
 from pathlib import Path
 
 LOCK_FILE = ".dynahull-lock"
 
 logger = logging.getLogger("dynahull")
 
-_NO_LOCK = (errno.EBADF, errno.EINVAL, errno.EISDIR, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
+NO_LOCK = (errno.EBADF, errno.EINVAL, errno.EISDIR, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
 """What file systems answer that have no locks on folders, or none at all."""
 
 
@@ -34,7 +35,7 @@ def take_lock(folder: Path) -> int | None:
         os.close(handle)
         if isinstance(error, BlockingIOError):
             return None
-        if error.errno not in _NO_LOCK:
+        if error.errno not in NO_LOCK:
             raise
         return _take_lock_of_file(folder)
     return handle
@@ -47,22 +48,26 @@ def give_lock(folder: Path, handle: int) -> None:
     os.close(handle)
 
 
+@cache
+def warn_of_no_locks(folder: Path) -> None:
+    """Warn, once, that nothing keeps two runs apart in a folder."""
+    logger.warning("%s: its file system has no locks; take care that one run works in it", folder)
+
+
 def _take_lock_of_file(folder: Path) -> int | None:
     path = folder / LOCK_FILE
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             if isinstance(error, BlockingIOError):
                 os.close(handle)
                 return None
-            if error.errno not in _NO_LOCK:
+            if error.errno not in NO_LOCK:
                 os.close(handle)
                 raise
-            logger.warning(
-                "%s: its file system has no locks; take care that one run works in it", folder
-            )
+            warn_of_no_locks(folder)
             return handle
         # Who held it before may have removed the file after it was opened here.
         try:

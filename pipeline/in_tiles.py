@@ -1,7 +1,6 @@
 """A map of several tiles: cleaned tile by tile by workers."""
 
 from collections.abc import Callable, Iterable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +71,10 @@ def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views
 
     They are prepared `meanwhile` where there is a core for it.
     """
-    views = partial(Views.of, gather_sample(job), result.clusters, job.configuration.removal)
+
+    def views() -> Views:
+        return Views.of(gather_sample(job), result.clusters, job.configuration.removal)
+
     return begun(views) if meanwhile else views
 
 

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from pipeline.duplicates import DuplicateCounter
+from pipeline.showing import printable as readable
 from pipeline.units import in_words
 from tiling.foreign_text import LONGEST_LINE, printable
 from tiling.formats import MapReader
@@ -28,7 +30,7 @@ _SAMPLED = 1000
 class FileInfo(BaseModel):
     """What one file says of itself."""
 
-    path: str
+    path: Annotated[str, SkipValidation]
     format: str
     size_bytes: int
     points: int
@@ -93,7 +95,7 @@ class MapInfo(BaseModel):
         """Return the information as aligned lines."""
         lines = []
         for file in self.files:
-            lines += [f"file        {file.path}", f"format      {file.format}"]
+            lines += [f"file        {readable(file.path)}", f"format      {file.format}"]
             lines += [f"points      {file.points:,}", f"size        {file.size_bytes:,} bytes"]
             more = len(file.fields) - _NAMED_FIELDS
             fields = ", ".join(file.fields[:_NAMED_FIELDS]) + (f" and {more} more" * (more > 0))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.tiles.writing import BATCH
+from tiling.output_file import create_file
 
 
 def write_labels(
@@ -39,7 +40,8 @@ def write_labels(
         }
     )
     with ExitStack() as stack:
-        writer = stack.enter_context(pq.ParquetWriter(path, schema, compression="zstd"))
+        file = stack.enter_context(create_file(path))
+        writer = stack.enter_context(pq.ParquetWriter(file, schema, compression="zstd"))
         for start in range(0, len(labels), BATCH):
             rows = slice(start, start + BATCH)
             codes = pa.array(np.asarray(labels[rows]).astype(np.int8))

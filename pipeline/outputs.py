@@ -4,7 +4,6 @@ Files are written into a hidden folder beside their places, flushed to the disk,
 all are complete. `run.json` goes first and comes back last: a folder that has one is whole.
 """
 
-import json
 import os
 import shutil
 import time
@@ -17,13 +16,33 @@ from typing import Literal
 from pipeline.errors import OutputError
 from pipeline.folder_lock import give_lock, take_lock
 from pipeline.renaming import renaming_all
+from pipeline.replacing import (
+    CONFIGURATION_FILE,
+    LABELS_FILE,
+    REPORT_FILE,
+    RUN_FILE,
+    STAGING,
+    earlier_results,
+    record_publishing,
+    refuse_to_replace,
+    remove_half_published,
+)
+from tiling.durable import sync_path
 from tiling.formats import MapReader
+from tiling.output_file import create_file, writing_only_into
 
-RUN_FILE = "run.json"
-CONFIGURATION_FILE = "config.yaml"
-LABELS_FILE = "labels.parquet"
-REPORT_FILE = "report.html"
-STAGING = ".dynahull-partial"
+__all__ = [
+    "CONFIGURATION_FILE",
+    "LABELS_FILE",
+    "REPORT_FILE",
+    "RUN_FILE",
+    "STAGING",
+    "OutputNames",
+    "default_folder",
+    "folder_is_locked",
+    "locked_folder",
+    "output_folder",
+]
 
 _ASIDE = "earlier"
 """Within it: results of an earlier run, until all of this one's are in their place."""
@@ -80,7 +99,7 @@ class OutputNames:
 
 def default_folder(paths: Sequence[Path]) -> Path:
     """Return `<map>_dynahull`, named after the only file, or after the folder of several."""
-    first = paths[0].absolute()
+    first = located(paths[0])
     name = _stem(first) if len(paths) == 1 else first.parent.name
     return Path(f"{name}_dynahull")
 
@@ -111,16 +130,19 @@ def output_folder(
         When the folder cannot be made or written, when another run works in it, or when a file is
         in the place of a result that no earlier run wrote.
     """
-    _refuse_to_replace(folder, results, inputs)
+    refuse_to_replace(folder, results, inputs)
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with locked_folder(folder):
+        with locked_folder(folder), writing_only_into(folder):
+            remove_half_published(folder)
             staging = folder / STAGING
             shutil.rmtree(staging, ignore_errors=True)
             staging.mkdir()
             try:
+                _try_names(staging, results)
                 yield staging
+                refuse_to_replace(folder, results, inputs)
                 _publish(staging, folder)
             finally:
                 shutil.rmtree(staging, ignore_errors=True)
@@ -132,18 +154,26 @@ def output_folder(
                 path.rmdir()
 
 
-def _refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[Path]) -> None:
-    """Refuse, before any work, to replace an input or a file that no run wrote."""
-    taken = {path.resolve() for path in inputs}
-    # What a run that was killed left half published is known by its staging folder.
-    interrupted = (folder / STAGING).is_dir()
-    earlier = set(_earlier_results(folder))
+def _try_names(staging: Path, results: Sequence[Path]) -> None:
+    """Find out, before any work, whether the file system has a place for each name.
+
+    There are some that take two names for one, and some that do not take every name.
+    """
+    trial = staging / "names"
     for name in results:
-        place = folder / name
-        if place.resolve() in taken:
-            raise OutputError(f"{place}: this input lies where a result goes; choose another -o")
-        if os.path.lexists(place) and not interrupted and name not in earlier:
-            raise OutputError(f"{place}: there is a file that no run wrote; choose another -o")
+        place = trial / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            create_file(place).close()
+        except FileExistsError:
+            raise OutputError(
+                f"{staging.parent / name}: two files of the map would be written here; choose "
+                "an -o on another file system"
+            ) from None
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutputError(f"{staging.parent / name}: cannot be written: {reason}") from None
+    shutil.rmtree(trial)
 
 
 def folder_is_locked(folder: Path) -> bool:
@@ -183,41 +213,34 @@ def _publish(staging: Path, folder: Path) -> None:
     files = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
     files.sort(key=lambda name: name == Path(RUN_FILE))
     for name in files:
-        _flush(staging / name)
-    earlier = [name for name in _earlier_results(folder) if (folder / name).is_file()]
+        sync_path(staging / name)
+    sync_path(record_publishing(staging, folder, files))
+    sync_path(staging)
+    earlier = [name for name in earlier_results(folder) if _is_within(folder, name)]
     earlier.sort(key=lambda name: name != Path(RUN_FILE))
     with renaming_all() as rename:
         for name in earlier:
             rename(folder / name, staging / _ASIDE / name)
         (folder / RUN_FILE).unlink(missing_ok=True)
-        _flush(folder)
+        sync_path(folder)
         for name in files:
             rename(staging / name, folder / name)
         for parent in {(folder / name).parent for name in files}:
-            _flush(parent)
+            sync_path(parent)
     for parent in {(folder / name).parent for name in earlier} - {folder}:
         if not any(parent.iterdir()):
             parent.rmdir()
 
 
-def _earlier_results(folder: Path) -> list[Path]:
-    """Return the names of what the last complete run left here, by its own account."""
-    try:
-        report = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-        if not {"version", "input_hash", "outputs"} <= report.keys():
-            return []
-        names = [Path(name) for name in report["outputs"]]
-    except (OSError, ValueError, AttributeError, TypeError):
-        return []
-    return [name for name in names if not name.is_absolute() and ".." not in name.parts]
+def _is_within(folder: Path, name: Path) -> bool:
+    """Tell whether a result is there, and in no folder that a link leads to."""
+    place = folder / name
+    return place.is_file() and place.parent.resolve().is_relative_to(folder.resolve())
 
 
-def _flush(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def located(path: Path) -> Path:
+    """Return a file's own name in the folder that it lies in, without links and `..`."""
+    return path.parent.resolve() / path.name
 
 
 def _distinct_names(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
@@ -228,7 +251,7 @@ def _distinct_names(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path
     """
     own = [Path(path.name) for path in paths]
     if len(set(own)) < len(own):
-        absolute = [path.absolute() for path in paths]
+        absolute = [located(path) for path in paths]
         common = Path(os.path.commonpath([path.parent for path in absolute]))
         own = [path.relative_to(common) for path in absolute]
     names = [

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.evaluation.picture import drawing_library
 from pipeline.plan import Plan
+from tiling.atomic import atomic_file
 from tiling.occupancy import Occupancy
 from tiling.survey import Survey
 
@@ -52,7 +53,8 @@ def draw_plan(plan: Plan, survey: Survey, path: Path) -> None:
         f"{plan.point_count:,} points, {len(plan.layout):,} tiles (blue); "
         f"halo {plan.halo:.2f} m around the largest (red)"
     )
-    figure.savefig(path, dpi=120, format="png")
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
 
 
 def _occupancy_image(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.configuration import Configuration
-from pipeline.errors import ConfigurationError
+from pipeline.errors import ConfigurationError, OutputError
 from pipeline.machine import available_cores
 from pipeline.outputs import default_folder
 from pipeline.progress import StageObserver
@@ -23,10 +23,14 @@ from tiling.atomic import atomic_file
 from tiling.formats.base import PointBatch
 from tiling.formats.collection import MapCollection, find_map_files
 from tiling.occupancy import Occupancy
+from tiling.output_file import writing_only_into
 from tiling.survey import Survey
 
 SMALLEST_SIDE = 4.0
 """Metres: a window that is chosen is no narrower, and thinned where it holds too many points."""
+
+PART_FOLDER = ".dynahull-preview"
+"""Within the output folder: the part of the map that is cleaned."""
 
 _TYPICAL = 0.5
 """Share of a map's points that lie in squares of the size of a typical one, or in larger ones."""
@@ -122,7 +126,8 @@ def preview(
     kept = part.finish()
     if not kept:
         raise ConfigurationError(f"{collection.name}: no point in the window, {window}")
-    files = _write_part(collection, kept, folder)
+    with writing_only_into(folder):
+        files = _write_part(collection, kept, folder)
     observer.warn(_description(part, window, collection))
     return run(files, folder, configuration, observer)
 
@@ -289,13 +294,16 @@ def _ranks(first_row: int, count: int) -> NDArray[np.float64]:
 def _write_part(
     collection: MapCollection, kept: dict[int, list[PointBatch]], folder: Path
 ) -> list[Path]:
-    """Write the part as maps like those it comes from, into the output folder."""
+    """Write the part as maps like those it comes from, into a folder that is ours alone."""
+    place = folder / PART_FOLDER
+    if place.is_symlink():
+        raise OutputError(f"{place}: expected a folder of a preview's own, found a link")
+    place.mkdir(parents=True, exist_ok=True)
     files = []
     for file, batches in kept.items():
         said = collection.readers[file].description
         number = f"{file + 1}_" if len(collection.readers) > 1 else ""
-        path = folder / f"part_{number}{said.path.stem}{said.suffix}"
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path = place / f"part_{number}{said.path.stem}{said.suffix}"
         count = sum(len(batch.xyz) for batch in batches)
         reader = collection.readers[file]
         with atomic_file(path) as temporary, reader.writer(temporary, count) as writer:

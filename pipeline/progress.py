@@ -2,11 +2,12 @@
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic
 from typing import Protocol
 
+from pipeline.showing import only_showing
 from tiling.foreign_text import LONGEST_LINE, printable
 
 logger = logging.getLogger("dynahull")
@@ -53,12 +54,12 @@ class StageObserver:
         """Begin a stage; the one before it has ended."""
         self.finish()
         self._stage, self._begun, self._done = name, monotonic(), 0
-        self._display.begin(name, total)
+        self._show(lambda display: display.begin(name, total))
 
     def advance(self, points: int) -> None:
         """Count points of the present stage as done."""
         self._done += points
-        self._display.update(self._done)
+        self._show(lambda display: display.update(self._done))
 
     def warn(self, message: str) -> None:
         """Keep a warning and log it."""
@@ -69,10 +70,32 @@ class StageObserver:
     def finish(self) -> None:
         """End the present stage, if there is one."""
         if self._stage is not None:
-            self._display.end()
+            self._show(lambda display: display.end())
             elapsed = monotonic() - self._begun
             self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + elapsed
             self._stage = None
+
+    def _show(self, call: Callable[[Display], None]) -> None:
+        """Show progress; not any more once that failed."""
+        with only_showing("the display of progress", self._hide):
+            call(self._display)
+
+    def _hide(self, reason: str) -> None:
+        self._display = NoDisplay()
+        logger.warning(reason)
+
+
+class NoDisplay:
+    """Shows nothing."""
+
+    def begin(self, stage: str, total: int) -> None:
+        """Show nothing."""
+
+    def update(self, done: int) -> None:
+        """Show nothing."""
+
+    def end(self) -> None:
+        """Show nothing."""
 
 
 class LogDisplay:
@@ -164,10 +187,14 @@ def watching() -> Iterator[StageObserver]:
         yield observer
         observer.finish()
         return
-    display = TerminalDisplay()
-    observer = StageObserver(display)
+    display: TerminalDisplay | None = None
+    with only_showing("the bar of progress", logger.warning):
+        display = TerminalDisplay()
+    observer = StageObserver(display or NoDisplay())
     try:
         yield observer
         observer.finish()
     finally:
-        display.close()
+        with only_showing("the bar of progress", logger.warning):
+            if display is not None:
+                display.close()

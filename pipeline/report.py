@@ -5,30 +5,34 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
 from pipeline.machine import peak_memory
 from pipeline.outputs import LABELS_FILE, REPORT_FILE, RUN_FILE, OutputNames
 from pipeline.progress import StageObserver
+from pipeline.showing import printable
 from pipeline.units import of_map
 from tiling.formats.collection import MapCollection
+
+FileName = Annotated[str, SkipValidation]
+"""Any name that the system has: pydantic's own text is UTF-8 alone."""
 
 
 class InputFile(BaseModel):
     """One file of the map, and the names of what became of it in the output folder."""
 
-    path: str
+    path: FileName
     format: str
     size_bytes: int
     points: int
     first_row: int
-    static: str | None = None
-    dynamic: str | None = None
-    labelled: str | None = None
+    static: FileName | None = None
+    dynamic: FileName | None = None
+    labelled: FileName | None = None
 
     @property
     def outputs(self) -> list[str]:
@@ -96,8 +100,8 @@ class RunReport(BaseModel):
 
     version: str
     finished: str
-    output: str
-    outputs: list[str]
+    output: FileName
+    outputs: list[FileName]
     input_hash: str
     files: list[InputFile]
     points: int
@@ -105,7 +109,7 @@ class RunReport(BaseModel):
     clusters: list[ClusterReport]
     seconds: dict[str, float]
     peak_memory_bytes: int
-    warnings: list[str]
+    warnings: list[FileName]
     system: str = ""
     configuration: dict[str, Any]
 
@@ -139,14 +143,21 @@ class RunReport(BaseModel):
             clusters=[ClusterReport.of(cluster) for cluster in clusters],
             seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
-            warnings=observer.warnings,
+            warnings=list(observer.warnings),
             system=of_map(collection, configuration.input),
             configuration=configuration.model_dump(mode="json"),
         )
 
     def with_seconds(self, observer: StageObserver) -> Self:
-        """Return the report with the stages there are now."""
-        return self.model_copy(update={"seconds": _seconds(observer)})
+        """Return the report with the stages and warnings there are now."""
+        now = {"seconds": _seconds(observer), "warnings": list(observer.warnings)}
+        return self.model_copy(update=now)
+
+    def without_page(self) -> Self:
+        """Return the report of a run whose page could not be made."""
+        return self.model_copy(
+            update={"outputs": [name for name in self.outputs if name != REPORT_FILE]}
+        )
 
     def to_json(self) -> str:
         """Return the text of `run.json`."""
@@ -181,9 +192,11 @@ class RunReport(BaseModel):
             written = list(dict.fromkeys(path.parent for path in written))
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
-        if self.configuration["output"]["report"] == "html":
+        if REPORT_FILE in self.outputs:
             written.append(folder / REPORT_FILE)
-        lines.append("written: " + ", ".join(str(path) for path in [*written, folder / RUN_FILE]))
+        lines.append(
+            "written: " + ", ".join(printable(path) for path in [*written, folder / RUN_FILE])
+        )
         return "\n".join(lines)
 
 

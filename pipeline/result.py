@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
@@ -19,6 +18,7 @@ from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.base import DEFAULT_BATCH
 from tiling.formats.field_values import field_values
+from tiling.parquet_file import open_parquet
 
 Points = NDArray[np.float64]
 Labels = NDArray[np.uint8]
@@ -157,7 +157,7 @@ def _read_table(path: Path) -> tuple[Labels, Densities]:
 def table_batches(path: Path) -> Iterator[tuple[Labels, Densities]]:
     """Yield labels and densities from `labels.parquet`, in order."""
     numbers = {label.title: label.value for label in Label}
-    with pq.ParquetFile(path) as file:
+    with open_parquet(path) as file:
         for batch in file.iter_batches(
             DEFAULT_BATCH, columns=["label", "density"], use_threads=False
         ):

@@ -33,6 +33,7 @@ from pipeline.report import RunReport
 from pipeline.report_page.page import Views, render_page
 from pipeline.report_page.tile_chart import TileWork
 from pipeline.resources import check_one_tile, check_space, is_one_tile, output_size
+from pipeline.showing import only_showing
 from pipeline.tiles.fitting import fitting
 from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.units import open_collection
@@ -167,12 +168,18 @@ def _write_page(
 ) -> RunReport:
     """Write the report to look at; return that of `run.json`, which knows how long it took."""
     observer.stage("report", report.points)
-    prepared = views()
-    observer.advance(report.points)
+    page, shown = staging / REPORT_FILE, report.without_page()
+    with only_showing(REPORT_FILE, observer.warn):
+        prepared = views()
+        observer.advance(report.points)
+        observer.finish()
+        whole = report.with_seconds(observer)
+        page.write_text(render_page(whole, prepared, tiles), encoding="utf-8")
+        shown = whole
     observer.finish()
-    report = report.with_seconds(observer)
-    (staging / REPORT_FILE).write_text(render_page(report, prepared, tiles), encoding="utf-8")
-    return report
+    if REPORT_FILE not in shown.outputs:
+        page.unlink(missing_ok=True)
+    return shown.with_seconds(observer)
 
 
 def _notes(collection: MapCollection) -> list[str]:

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.errors import MissingViewerError, OutputError
+from pipeline.named_file import check_named_file
 from pipeline.result import ResultPoints, read_result
 from pipeline.temporary import temporary_folder
+from tiling.atomic import atomic_file
 
 LABEL_COLOURS = {
     Label.STATIC: (125, 140, 155),
@@ -57,6 +59,8 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
     OutputError
         When the folder holds no complete result, or the recording cannot be written.
     """
+    if recording is not None:
+        check_named_file(recording, ".rrd")
     rerun = _import_rerun()
     if recording is None and not _has_screen():
         raise MissingViewerError(
@@ -67,9 +71,11 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
     if points.density is None:
         logger.info("densities are shown of runs with --labels, or with output.mode=label")
     if recording is not None:
-        if recording.parent != Path() and not recording.parent.is_dir():
-            raise OutputError(f"{recording}: expected a folder to write into, found none")
-        write_recording(rerun, points, folder.name, recording)
+        try:
+            with atomic_file(recording) as temporary:
+                write_recording(rerun, points, folder.name, temporary)
+        except OSError as error:
+            raise OutputError(f"{recording}: {error.strerror or error}") from error
         return
     with TemporaryDirectory(prefix="view-", dir=temporary_folder()) as temporary:
         file = Path(temporary) / "result.rrd"

@@ -1,17 +1,21 @@
 """What does the tasks of a run: this process, workers of this machine, or a cluster."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING
 
 from pipeline.configuration import Configuration, is_elsewhere
 from pipeline.machine import available_cores
 from pipeline.resources import worker_memory_limit
 from pipeline.tiles.execution import Executor, InProcess, local_workers
-from pipeline.tiles.fork_server import start_fork_server
+from pipeline.tiles.fork_server import can_start_workers, start_fork_server
 
 if TYPE_CHECKING:
     from pipeline.tiles.job import Job
+
+logger = logging.getLogger("dynahull")
 
 
 def prepare_workers(configuration: Configuration) -> None:
@@ -24,7 +28,20 @@ def _are_local(configuration: Configuration) -> bool:
     execution = configuration.execution
     if is_elsewhere(configuration) or execution.cluster == "none":
         return False
-    return available_cores(execution.workers) > 1
+    if available_cores(execution.workers) == 1:
+        return False
+    if not can_start_workers():
+        _warn_of_one_process()
+        return False
+    return True
+
+
+@cache
+def _warn_of_one_process() -> None:
+    logger.warning(
+        "/dev/shm: expected a folder that can be written into, as workers need for semaphores; the "
+        "tiles are cleaned one after the other, by this process"
+    )
 
 
 @contextmanager

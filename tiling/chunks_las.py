@@ -12,6 +12,7 @@ import numpy as np
 
 from tiling.chunk_store import Chunk, ChunkStore
 from tiling.errors import GridError
+from tiling.output_file import create_file
 
 # It has no types that a checker can use.
 laspy: Any = import_module("laspy")
@@ -42,7 +43,7 @@ def write(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
     points.X, points.Y, points.Z = integers.T
     points.row, points.core = chunk.rows, chunk.core
     # The file is opened here because laspy goes by its suffix, and a temporary one has another.
-    with path.open("w+b") as file:
+    with create_file(path) as file:
         points.write(file, do_compress=store.format == "laz", laz_backend=laspy.LazBackend.Lazrs)
 
 

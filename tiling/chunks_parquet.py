@@ -7,6 +7,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tiling.chunk_store import Chunk, ChunkStore
+from tiling.output_file import create_file
+from tiling.parquet_file import open_parquet
 
 _COLUMNS = ("x", "y", "z")
 
@@ -17,15 +19,16 @@ def write(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
     table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
     table = table.replace_schema_metadata({"tile": store.describe(tile)})
     # Coordinates hardly repeat, so dictionaries only cost time.
-    pq.write_table(
-        table,
-        path,
-        row_group_size=max(len(chunk), 1),
-        use_dictionary=False,
-        write_statistics=False,
-        compression=store.compression,
-        compression_level=1 if store.compression == "zstd" else None,
-    )
+    with create_file(path) as file:
+        pq.write_table(
+            table,
+            file,
+            row_group_size=max(len(chunk), 1),
+            use_dictionary=False,
+            write_statistics=False,
+            compression=store.compression,
+            compression_level=1 if store.compression == "zstd" else None,
+        )
 
 
 def read(path: Path) -> Chunk:
@@ -37,7 +40,7 @@ def read(path: Path) -> Chunk:
 
 
 def _read(path: Path) -> Chunk:
-    with pq.ParquetFile(path) as file:
+    with open_parquet(path) as file:
         table = file.read(use_threads=False)
     xyz = np.empty((table.num_rows, 3))
     for axis, name in enumerate(_COLUMNS):

@@ -6,7 +6,6 @@ written from too, or only the coordinates, where records have no size of their o
 ranges of the file can be read side by side, even where those of the map cannot.
 """
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,10 +17,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.atomic import make_sized, write_only
+from tiling.durable import sync
 from tiling.errors import ChunkError
 from tiling.formats.base import PointBatch
 from tiling.formats.collection import MapCollection
+from tiling.output_file import make_sized, write_only
 
 _COORDINATES = np.dtype((np.float64, 3))
 
@@ -85,7 +85,7 @@ class KeptPoints:
                 stream.write(np.ascontiguousarray(kept).data.cast("B"))
                 yield batch
             stream.flush()
-            os.fsync(stream.fileno())
+            sync(stream.fileno())
 
     def batches(self, max_points: int, rows: range) -> Iterator[tuple[int, PointBatch]]:
         """Yield the points of a range of rows, in order, as `MapCollection.batches` does.

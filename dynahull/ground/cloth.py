@@ -73,7 +73,8 @@ def _check_size(points: Floats, resolution: float) -> None:
 @contextmanager
 def _quiet_output() -> Iterator[None]:
     """Send what compiled code prints nowhere."""
-    sys.stdout.flush()
+    if sys.stdout is not None:
+        sys.stdout.flush()
     saved = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:

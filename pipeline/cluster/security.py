@@ -1,10 +1,10 @@
 """TLS between the scheduler, its workers and the run: with files given, or a key of this run's."""
 
-from pathlib import Path
 from typing import Any
 
 from pipeline.cluster.parameters import TLSParameters
 from pipeline.errors import ConfigurationError
+from pipeline.home import in_home
 
 
 def cluster_security(tls: TLSParameters) -> Any:
@@ -47,7 +47,7 @@ def _of_files(tls: TLSParameters) -> Any:
 
     files = {}
     for name in ("ca_file", "certificate", "key"):
-        path = Path(getattr(tls, name)).expanduser().resolve()
+        path = in_home(getattr(tls, name)).resolve()
         if not path.is_file():
             raise ConfigurationError(f"cluster.tls.{name}: {path}: expected a file, found none")
         files[name] = str(path)

@@ -17,6 +17,7 @@ from pipeline.cluster.workers import check_folder
 from pipeline.configuration import Configuration
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.outputs import default_folder, folder_is_locked
+from pipeline.replacing import refuse_own_folders
 from tiling.atomic import atomic_file
 from tiling.formats.collection import find_map_files
 
@@ -78,6 +79,7 @@ def submit_run(
     system.require()
     script = _script(system, maps, folder, configuration, fresh)
     place = cluster_folder(folder)
+    refuse_own_folders(folder, find_map_files(maps))
     logs_folder(folder).mkdir(parents=True, exist_ok=True)
     path = place / f"run{system.script_suffix}"
     for name, text in (
@@ -85,7 +87,7 @@ def submit_run(
         (path, script),
     ):
         with atomic_file(name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", errors="surrogateescape")
     job = system.submit_script(path.resolve())
     record_submitted(folder, system.name, job)
     return job, folder

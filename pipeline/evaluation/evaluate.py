@@ -27,6 +27,7 @@ from pipeline.evaluation.tiled_cloud import (
     cut_clouds,
 )
 from pipeline.resources import check_space
+from pipeline.showing import only_showing
 from pipeline.temporary import temporary_folder
 from tiling.formats.collection import MapCollection
 
@@ -121,7 +122,8 @@ def _compare(
     removed_known = inputs.removed is not None
     scores = score(cleaned, original, removed_known, options, folder, observer)
     if picture is not None:
-        draw_picture(original, picture, observer)
+        with only_showing(str(picture), observer.warn):
+            draw_picture(original, picture, observer)
     return Figures(geometry, scores)
 
 

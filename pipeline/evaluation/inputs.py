@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow.parquet as pq
-
 from dynahull import Label
 from pipeline.configuration import InputParameters
 from pipeline.errors import ConfigurationError, EvaluationError
@@ -22,6 +20,7 @@ from pipeline.outputs import LABELS_FILE, RUN_FILE
 from pipeline.result import label_batches, table_batches
 from pipeline.units import open_collection
 from tiling.formats.collection import MapCollection, find_map_files
+from tiling.parquet_file import row_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +100,7 @@ def find_inputs(
         if original_map is None:
             raise EvaluationError(f"{truth}: labels are of an original map; give it by --original")
         labels = read_label_table(Path(truth), options.labels, dynamic, unlabelled)
-        rows = pq.read_metadata(truth).num_rows
+        rows = row_count(Path(truth))
         if rows != original_map.point_count:
             raise EvaluationError(
                 f"{truth}: expected labels of the {original_map.point_count:,} points of "
@@ -168,7 +167,7 @@ def _removed_rows(
         return RowValues(lambda: (~each for each in kept))
     if not run.labels.is_file():
         return None
-    rows = pq.read_metadata(run.labels).num_rows
+    rows = row_count(run.labels)
     if rows != original.point_count:
         raise EvaluationError(
             f"{run.labels}: expected a label of the {original.point_count:,} points of "

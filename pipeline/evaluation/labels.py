@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, EvaluationError
@@ -16,6 +15,7 @@ from tiling.formats.base import DEFAULT_BATCH
 from tiling.formats.collection import MapCollection
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.field_values import field_values
+from tiling.parquet_file import open_parquet
 
 MOVING_COLUMN = "moving"
 """The column of `truth.parquet`, as `simulate` writes it."""
@@ -96,7 +96,7 @@ def is_label_table(path: Path) -> bool:
     if path.suffix.lower() != ".parquet" or not path.is_file():
         return False
     try:
-        return coordinate_names(pq.read_schema(path).names) is None
+        return coordinate_names(_columns(path)) is None
     except (pa.ArrowException, OSError):
         return False  # the reader of maps says what is wrong with it
 
@@ -120,7 +120,7 @@ def read_label_table(
         When there is no such column of numbers or booleans.
     """
     column = column or MOVING_COLUMN
-    names = pq.read_schema(path).names
+    names = _columns(path)
     if column not in names:
         raise EvaluationError(
             f"{path}: expected a column {column!r} (--labels), found {', '.join(names)}"
@@ -132,8 +132,13 @@ def read_label_table(
     return labels
 
 
+def _columns(path: Path) -> list[str]:
+    with open_parquet(path) as file:
+        return list(file.schema_arrow.names)
+
+
 def _table_values(path: Path, column: str) -> Iterator[NDArray[np.generic]]:
-    with pq.ParquetFile(path) as file:
+    with open_parquet(path) as file:
         for batch in file.iter_batches(DEFAULT_BATCH, columns=[column], use_threads=False):
             values = batch.column(0).to_numpy(zero_copy_only=False)
             if values.dtype.kind not in "biuf":

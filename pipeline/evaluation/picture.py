@@ -41,7 +41,7 @@ def drawing_library() -> Any:
     try:
         import matplotlib as mpl  # noqa: PLC0415 (optional, and seconds of import time)
         import matplotlib.figure  # noqa: PLC0415
-    except (ImportError, OSError) as error:
+    except (ImportError, OSError, RuntimeError) as error:
         raise MissingPackageError(
             f"--picture needs Matplotlib: pip install 'dynahull-pipeline[plot]' ({error})"
         ) from error

@@ -4,8 +4,9 @@ import json
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SkipValidation
 from rich.table import Table
 
 from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy
@@ -26,7 +27,7 @@ Row = tuple[str, str, str]
 class MapFiles(BaseModel):
     """The files of a map, and how many points they have."""
 
-    files: list[str]
+    files: list[Annotated[str, SkipValidation]]
     points: int
 
     @classmethod
@@ -62,7 +63,7 @@ class EvaluationReport(BaseModel):
     version: str
     finished: str
     cleaned: MapFiles
-    truth: str
+    truth: Annotated[str, SkipValidation]
     original: MapFiles | None
     options: EvaluationOptions
     distances: DistanceStatistics
@@ -73,7 +74,7 @@ class EvaluationReport(BaseModel):
     preservation: Preservation | None
     seconds: dict[str, float]
     peak_memory_bytes: int
-    warnings: list[str]
+    warnings: list[Annotated[str, SkipValidation]]
 
     @classmethod
     def of(

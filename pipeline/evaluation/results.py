@@ -8,6 +8,7 @@ from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.picture import drawing_library
 from pipeline.evaluation.report import EvaluationReport
+from pipeline.named_file import check_named_file
 from pipeline.outputs import RUN_FILE
 from pipeline.progress import watching
 from tiling.atomic import atomic_file
@@ -40,14 +41,10 @@ def evaluate_files(
     PipelineError, TilingError
         With nothing written but, perhaps, the picture.
     """
+    named = [Path(cleaned), Path(cleaned) / RUN_FILE, Path(truth)]
     for path, kind in ((json_file, ".json"), (picture, ".png")):
-        if path is None:
-            continue
-        if not path.absolute().parent.is_dir():
-            raise OutputError(f"{path}: expected a folder to write in, found none")
-        # No map has such a name, so none is ever written over.
-        if path.suffix.lower() != kind:
-            raise OutputError(f"{path}: expected a name that ends in {kind}")
+        if path is not None:
+            check_named_file(path, kind, named)
     inputs = find_inputs(cleaned, truth, original, options)
     if picture is not None:
         if inputs.original is None:

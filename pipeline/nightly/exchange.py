@@ -19,17 +19,21 @@ class Request:
     output : Path
         Folder of the run.
     configuration : Configuration
+    root : Path or None
+        The folder that the map lies in, and no link leads out of.
     """
 
     map: Path
     output: Path
     configuration: Configuration
+    root: Path | None = None
 
     def to_text(self) -> str:
         """Return the request as text of one line."""
         values = {
             "map": str(self.map),
             "output": str(self.output),
+            "root": None if self.root is None else str(self.root),
             "configuration": self.configuration.model_dump(mode="json"),
         }
         return json.dumps(values)
@@ -39,7 +43,8 @@ class Request:
         """Read the text."""
         values = json.loads(text)
         configuration = Configuration.model_validate(values["configuration"])
-        return cls(Path(values["map"]), Path(values["output"]), configuration)
+        root = None if values["root"] is None else Path(values["root"])
+        return cls(Path(values["map"]), Path(values["output"]), configuration, root)
 
 
 @dataclass(frozen=True, slots=True)

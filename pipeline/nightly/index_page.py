@@ -7,16 +7,19 @@ from urllib.parse import quote
 
 from pipeline.nightly.results import begun
 from pipeline.nightly.summary import FAILURES, MapLine, MapOutcome, NightSummary
+from pipeline.showing import printable
 from tiling.atomic import atomic_file
 
 INDEX_FILE = "index.html"
+
+_OWN_TITLE = "<title>dynahull-pipeline: night of "
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>dynahull-pipeline: night of {night}</title>
+{title}{night}</title>
 <style>
 :root {{ color-scheme: light dark; }}
 body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem;
@@ -65,11 +68,20 @@ def write_index(folder: Path, summary: NightSummary) -> None:
         temporary.write_text(index_page(summary), encoding="utf-8")
 
 
+def is_index(path: Path) -> bool:
+    """Tell whether a file is a page that a night wrote."""
+    try:
+        return _OWN_TITLE in path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+
+
 def index_page(summary: NightSummary) -> str:
     """Return the page: what went wrong first, then the maps by name."""
     lines = sorted(summary.maps, key=lambda line: (line.outcome not in _BAD, line.map))
     problems = "".join(f'<p class="bad">{escape(each)}</p>\n' for each in summary.problems)
     return _PAGE.format(
+        title=_OWN_TITLE,
         night=f"{datetime.fromisoformat(summary.night):{_MINUTE}}",
         text=escape(summary.to_text()),
         code=summary.exit_code,
@@ -83,7 +95,7 @@ def _row(line: MapLine) -> str:
     outcome = f'<span class="bad">{line.outcome}</span>' if line.outcome in _BAD else line.outcome
     if line.reason:
         tries = f" ({line.attempts} nights)" if line.attempts > 1 else ""
-        outcome += f'<div class="reason">{escape(line.reason)}{tries}</div>'
+        outcome += f'<div class="reason">{escape(printable(line.reason))}{tries}</div>'
     result = ""
     if line.run and line.report:
         result = f'<a href="{quote(line.report)}">report of {_run_time(line.run)}</a>'
@@ -94,7 +106,7 @@ def _row(line: MapLine) -> str:
         removed = f"{line.removed:,} ({100 * line.removed / line.points:.1f}&nbsp;%)"
     seconds = "" if line.seconds is None else f"{line.seconds:,.0f}"
     return (
-        f'<tr><td class="map">{escape(line.map)}</td><td>{outcome}</td><td>{result}</td>'
+        f'<tr><td class="map">{escape(printable(line.map))}</td><td>{outcome}</td><td>{result}</td>'
         f'<td class="number" data-of="points">{points}</td>'
         f'<td class="number" data-of="removed">{removed}</td>'
         f'<td class="number" data-of="seconds">{seconds}</td></tr>'

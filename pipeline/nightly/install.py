@@ -1,12 +1,12 @@
 """What begins the night: a line for cron, or a service and a timer for systemd."""
 
-import getpass
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.errors import ConfigurationError
+from pipeline.home import user_name
 from pipeline.nightly.index_page import INDEX_FILE
 from pipeline.nightly.settings import NightlySettings
 
@@ -86,7 +86,7 @@ def systemd_service(source: Path, given: Sequence[str] = ()) -> str:
     # In arguments, and only there, $ begins the name of a variable.
     words = [program, *(word.replace("$", "$$") for word in arguments)]
     command = " ".join(_systemd_word(word) for word in words)
-    return _SERVICE.format(user=getpass.getuser(), command=command)
+    return _SERVICE.format(user=user_name(), command=command)
 
 
 def systemd_timer(settings: NightlySettings) -> str:

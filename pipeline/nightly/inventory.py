@@ -7,13 +7,14 @@ by programs, so that a file replaced by one of the same size and date is seen as
 
 import glob
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.configuration import Configuration
 from pipeline.nightly.journal import Fingerprint, MapRecord
 from pipeline.nightly.settings import NightlyInput, NightlySettings
+from pipeline.showing import is_text
 from tiling.errors import NoMapError
 from tiling.formats.collection import content_hash, find_map_files
 
@@ -33,11 +34,14 @@ class FoundMap:
         What the map consists of, in the order in which a run reads them.
     configuration : Configuration
         How it is cleaned.
+    root : Path
+        The folder of the input, out of which no link is followed.
     """
 
     path: Path
     files: tuple[Path, ...]
     configuration: Configuration
+    root: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +93,17 @@ def find_maps(
             own = {file.resolve() for file in files}
             if own <= taken or place == output or output in place.parents:
                 continue
-            if not _is_text(path):
-                name = str(path).encode(errors="replace").decode()
-                problems.append(Problem(given.root, f"{name}: its name is not UTF-8"))
+            if not is_text(path):
+                problems.append(Problem(given.root, f"{path}: its name is not UTF-8"))
                 continue
-            maps.append(FoundMap(path, files, configuration))
+            if not lie_within(given.root, files):
+                problems.append(
+                    Problem(
+                        given.root, f"{path}: a link out of {given.root}, which is not followed"
+                    )
+                )
+                continue
+            maps.append(FoundMap(path, files, configuration, given.root))
             taken |= own
     return maps, problems
 
@@ -162,12 +172,13 @@ def _map_files(maps: str) -> tuple[Path, ...]:
         return ()
 
 
-def _is_text(path: Path) -> bool:
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+def lie_within(root: Path, files: Iterable[Path]) -> bool:
+    """Tell whether files lie in the folder of an input, wherever it is, and are not linked into it.
+
+    Who may put a link there may not be one who may read what it leads to.
+    """
+    root = root.resolve()
+    return all(file.resolve().is_relative_to(root) for file in files)
 
 
 def fingerprint(files: tuple[Path, ...]) -> Fingerprint:

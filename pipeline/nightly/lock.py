@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from pipeline.errors import NightLockedError
+from pipeline.folder_lock import NO_LOCK, warn_of_no_locks
 
 LOCK_FILE = "lock"
 
@@ -32,13 +33,17 @@ def night_lock(folder: Path) -> Iterator[None]:
         When another process holds it.
     """
     path = folder / LOCK_FILE
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             holder = os.pread(handle, 200, 0).decode(errors="replace").strip() or "another process"
             raise NightLockedError(f"{path}: another night holds the lock ({holder})") from None
+        except OSError as error:
+            if error.errno not in NO_LOCK:
+                raise
+            warn_of_no_locks(folder)
         begun = datetime.now(UTC).isoformat(timespec="seconds")
         os.ftruncate(handle, 0)
         os.pwrite(

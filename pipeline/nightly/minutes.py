@@ -9,6 +9,7 @@ from pipeline.nightly.journal import Failure
 from pipeline.nightly.results import MapFolder, begun, report_page, run_report
 from pipeline.nightly.summary import (
     FAILURES,
+    SUMMARY_FILE,
     MapLine,
     MapOutcome,
     NightSummary,
@@ -19,6 +20,7 @@ from pipeline.nightly.summary import (
     time_text,
     was_cleaned,
 )
+from pipeline.showing import only_showing, printable
 
 logger = logging.getLogger("dynahull")
 
@@ -39,11 +41,11 @@ class Minutes:
         self._lines: dict[str, MapLine] = {}
         self._problems: list[str] = []
         put_long_file_aside(output)
-        self._summary(None, running=True).write(output)
+        self._write(self._summary(None, running=True))
 
     def problems(self, messages: list[str]) -> None:
         """Put down what could not be looked at, once each."""
-        for message in messages:
+        for message in map(printable, messages):
             if message not in self._problems:
                 self._problems.append(message)
                 logger.error(message)
@@ -62,9 +64,10 @@ class Minutes:
         line = self._line(path, outcome, folder, reason, attempts, seconds)
         self._lines[str(path)] = line
         append_line(self._output, line)
-        self._summary(None, running=True).write(self._output)
+        self._write(self._summary(None, running=True))
         level = logging.WARNING if outcome in FAILURES else logging.INFO
-        logger.log(level, "%s: %s%s", path, outcome, f" ({reason})" if reason else "")
+        why = f" ({printable(reason)})" if reason else ""
+        logger.log(level, "%s: %s%s", printable(path), outcome, why)
 
     def mention(self, path: Path, outcome: MapOutcome, folder: MapFolder) -> None:
         """Put a map into the summary alone, of which nothing new is to be said."""
@@ -86,14 +89,18 @@ class Minutes:
         if not was_cleaned(self._output, self._relative(run)):
             self.say(path, MapOutcome.CLEANED, MapFolder(run.parent))
         else:
-            logger.info("%s: cleaned %s", path, time_text(begun(run)))
+            logger.info("%s: cleaned %s", printable(path), time_text(begun(run)))
 
     def close(self, ending: Ending | None) -> NightSummary:
         """Write the summary of a night that has ended, and return it."""
         summary = self._summary(ending, running=False)
-        summary.write(self._output)
+        self._write(summary)
         logger.info(summary.to_text())
         return summary
+
+    def _write(self, summary: NightSummary) -> None:
+        with only_showing(SUMMARY_FILE, logger.warning):
+            summary.write(self._output)
 
     def _summary(self, ending: Ending | None, *, running: bool) -> NightSummary:
         lines = sorted(self._lines.values(), key=lambda line: line.map)

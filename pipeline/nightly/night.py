@@ -14,7 +14,7 @@ from pipeline.errors import DiskSpaceError
 from pipeline.nightly.cleaner import Cleaner
 from pipeline.nightly.clock import Clock, NightEnd
 from pipeline.nightly.exchange import Ended, Request
-from pipeline.nightly.index_page import write_index
+from pipeline.nightly.index_page import INDEX_FILE, write_index
 from pipeline.nightly.inventory import (
     Problem,
     find_maps,
@@ -25,6 +25,7 @@ from pipeline.nightly.inventory import (
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
 from pipeline.nightly.lock import night_lock
 from pipeline.nightly.minutes import Minutes
+from pipeline.nightly.own_files import refuse_to_replace
 from pipeline.nightly.results import (
     MapFolder,
     is_finished,
@@ -39,6 +40,8 @@ from pipeline.nightly.summary import MapOutcome, NightSummary
 from pipeline.nightly.triage import Candidate, in_turn, verdict
 from pipeline.outputs import folder_is_locked
 from pipeline.resources import check_space
+from pipeline.showing import only_showing, printable
+from tiling.output_file import writing_only_into
 
 STATE_FOLDER = ".nightly"
 """Within the output folder: lock and journal."""
@@ -87,7 +90,8 @@ def clean_nightly(
     """
     state = settings.output / STATE_FOLDER
     state.mkdir(parents=True, exist_ok=True)
-    with night_lock(state):
+    with night_lock(state), writing_only_into(settings.output):
+        refuse_to_replace(settings.output)
         night = _Night(settings, cleaner, clock, end, Journal(state))
         if retry:
             night.forget_failures()
@@ -147,7 +151,7 @@ class _Night:
                 self.minutes.cleaned_earlier(Path(path), run)
             else:
                 record.stalled = tasks_done(run) <= record.attempt.tasks
-                logger.info("%s: an earlier night was cut off; it goes on", path)
+                logger.info("%s: an earlier night was cut off; it goes on", printable(path))
             record.attempt = None
         self.journal.save()
 
@@ -157,6 +161,9 @@ class _Night:
         self.minutes.problems([problem.message for problem in self.problems])
         candidates = []
         for each in found:
+            if (place := self.folder_of(each.path).path).is_symlink():
+                self.minutes.problems([f"{place}: expected a folder of results, found a link"])
+                continue
             try:
                 states = fingerprint(each.files)
             except FileNotFoundError:
@@ -249,7 +256,7 @@ class _Night:
 
     def run(self, candidate: Candidate) -> tuple[MapOutcome, str | None]:
         """Run a map, with the journal knowing before and after."""
-        folder, record = candidate.folder, candidate.record
+        folder, record, found = candidate.folder, candidate.record, candidate.found
         run = folder.of_key(candidate.key) or folder.new(candidate.key, self.clock.now())
         if not self.comes_free(run):
             return MapOutcome.LEFT, "what a killed night left is still at work on it"
@@ -261,8 +268,8 @@ class _Night:
         self.journal.save()
         is_first = self.runs_begun == 0
         self.runs_begun += 1
-        logger.info("%s: cleaning into %s", candidate.found.path, run)
-        request = Request(candidate.found.path, run, candidate.found.configuration)
+        logger.info("%s: cleaning into %s", printable(found.path), run)
+        request = Request(found.path, run, found.configuration, found.root)
         ended = self.cleaner.clean(request, self.end.is_over)
         record.attempt = None
         record.stalled = False
@@ -369,7 +376,8 @@ class _Night:
             if record.vanished:
                 self.minutes.mention(Path(path), MapOutcome.VANISHED, self.folder_of(Path(path)))
         summary = self.minutes.close(self.end.reason())
-        write_index(self.settings.output, summary)
+        with only_showing(INDEX_FILE, logger.warning):
+            write_index(self.settings.output, summary)
         return summary
 
     def folder_of(self, path: Path) -> MapFolder:

@@ -14,12 +14,18 @@ from threading import Thread
 from dynahull.errors import DynaHullError
 from pipeline.errors import DiskSpaceError, PipelineError
 from pipeline.nightly.exchange import Ended, Request
+from pipeline.nightly.inventory import lie_within
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.showing import printable
 from tiling.errors import TilingError
+from tiling.formats.collection import find_map_files
 
 _FULL = (os.strerror(errno.ENOSPC), os.strerror(errno.EDQUOT))
 """What the system says of a disk that is full, and of a user who may take no more of it."""
+
+_LONGEST = 1_000
+"""Characters of a reason."""
 
 logger = logging.getLogger("dynahull")
 
@@ -27,7 +33,10 @@ logger = logging.getLogger("dynahull")
 def clean_one(request: Request, observer: StageObserver) -> Ended:
     """Clean a map, whatever happens."""
     try:
-        run([request.map], request.output, request.configuration, observer)
+        files = find_map_files([request.map])
+        if request.root is not None and not lie_within(request.root, files):
+            return Ended("failed", f"{request.map}: became a link out of {request.root}")
+        run(files, request.output, request.configuration, observer)
     except KeyboardInterrupt:
         return Ended("stopped")
     except DiskSpaceError as error:
@@ -43,7 +52,8 @@ def clean_one(request: Request, observer: StageObserver) -> Ended:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    """Return what an error says, of which parts may be from a file, as text for logs and pages."""
+    return printable(" ".join(str(error).split()))[:_LONGEST] or type(error).__name__
 
 
 def main() -> None:

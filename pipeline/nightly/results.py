@@ -6,17 +6,23 @@ was stopped goes on there, and what is finished is known again, whatever became 
 
 import hashlib
 import json
+import logging
+import os
 import re
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pipeline.configuration import Configuration
 from pipeline.outputs import REPORT_FILE, RUN_FILE, folder_is_locked
 from pipeline.tiles.work import WORK_FOLDER, remove_work, stages_begun
+
+logger = logging.getLogger("dynahull")
 
 LATEST = "latest"
 """A symbolic link to the last good result."""
@@ -35,7 +41,7 @@ def map_name(path: Path) -> str:
     So maps of the same name do not meet, and the name depends on nothing else.
     """
     own = re.sub(r"[^\w.-]", "_", path.stem)[:80]
-    return f"{own}-{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    return f"{own}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
 
 
 def result_key(content: str, files: Sequence[Path], configuration: Configuration) -> str:
@@ -72,7 +78,7 @@ class MapFolder:
 
     def runs(self) -> list[Path]:
         """Return the folders of all runs, the oldest first."""
-        if not self.path.is_dir():
+        if not self.path.is_dir() or self.path.is_symlink():
             return []
         found = [
             each
@@ -109,14 +115,22 @@ class MapFolder:
         return finished[-1] if finished else None
 
     def point_latest(self, run: Path) -> None:
-        """Let `latest` point to a run; at no moment is there none."""
+        """Let `latest` point to a run; at no moment is there none.
+
+        On a file system without links there is none: the newest run that is whole is the latest.
+        """
         link = self.path / LATEST
         if link.is_symlink() and str(link.readlink()) == run.name:
             return
         following = self.path / _NEXT
-        following.unlink(missing_ok=True)
-        following.symlink_to(run.name, target_is_directory=True)
-        following.replace(link)
+        try:
+            following.unlink(missing_ok=True)
+            following.symlink_to(run.name, target_is_directory=True)
+            following.replace(link)
+        except OSError as error:
+            _warn_of_no_links(f"{link}: cannot be pointed to a result: {error.strerror or error}")
+            with suppress(OSError):
+                following.unlink(missing_ok=True)
 
     def remove(self, run: Path) -> bool:
         """Remove a run that nobody works on; one that is half removed is never taken for a run."""
@@ -130,10 +144,15 @@ class MapFolder:
 
     def remove_leftovers(self) -> None:
         """Remove what a process left that was killed while it removed or pointed."""
-        if self.path.is_dir():
+        if self.path.is_dir() and not self.path.is_symlink():
             (self.path / _NEXT).unlink(missing_ok=True)
             for hidden in self.path.glob(f"{_REMOVED}*"):
                 shutil.rmtree(hidden, ignore_errors=True)
+
+
+@cache
+def _warn_of_no_links(reason: str) -> None:
+    logger.warning("%s; the newest folder with a %s is the latest", reason, RUN_FILE)
 
 
 def is_finished(run: Path) -> bool:

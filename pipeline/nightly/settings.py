@@ -15,7 +15,9 @@ from pipeline.configuration import (
     ready_configurations,
 )
 from pipeline.errors import ConfigurationError
+from pipeline.home import in_home
 from pipeline.quantities import Seconds, Size
+from pipeline.showing import is_text, printable
 
 
 def _time_of_day(value: object) -> object:
@@ -140,6 +142,10 @@ def load_nightly_settings(source: Path, settings: Sequence[str] = ()) -> Nightly
         raise ConfigurationError(f"{source}: expected a YAML file, found no such file")
     given = load_parameters(NightlySettings, str(source), settings)
     folder = source.absolute().parent
+    if not is_text(folder):
+        raise ConfigurationError(
+            f"{printable(folder)}: expected a folder whose name is UTF-8, as journals and pages are"
+        )
     inputs = [
         each.model_copy(
             update={
@@ -149,7 +155,7 @@ def load_nightly_settings(source: Path, settings: Sequence[str] = ()) -> Nightly
         )
         for each in given.inputs
     ]
-    output = folder / given.output.expanduser()
+    output = folder / in_home(given.output)
     found = given.model_copy(update={"inputs": tuple(inputs), "output": output})
     for each in found.inputs:
         found.configuration_of(each)
@@ -159,11 +165,11 @@ def load_nightly_settings(source: Path, settings: Sequence[str] = ()) -> Nightly
 def _place(folder: Path, configuration: str | None) -> str | None:
     if configuration is None or configuration in ready_configurations():
         return configuration
-    return str(folder / Path(configuration).expanduser())
+    return str(folder / in_home(configuration))
 
 
 def _pattern(folder: Path, maps: str) -> str:
-    maps = str(Path(maps).expanduser())
+    maps = str(in_home(maps))
     if Path(maps).is_absolute():
         return maps
     literal = str(folder)

@@ -131,6 +131,15 @@ class NightSummary(BaseModel):
         return f"{counts or 'no maps'}{why.get(self.ended, '')}"
 
 
+def is_summary(path: Path) -> bool:
+    """Tell whether a file is the summary of a night."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and {"night", "maps", "counts"} <= found.keys()
+
+
 def count_outcomes(lines: list[MapLine]) -> dict[str, int]:
     """Count maps by outcome, in the order of `MapOutcome`, those that occur."""
     counts = Counter(line.outcome for line in lines)

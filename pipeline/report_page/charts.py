@@ -1,7 +1,7 @@
 """The charts that do not move: Eq. 1, densities of each cluster, seconds of each stage."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from dynahull.labels import Label
 from pipeline.quantities import in_time
 from pipeline.report import ClusterReport
 from pipeline.report_page.amounts import Amounts
-from pipeline.report_page.sample import MapSample
+from pipeline.report_page.sample import MapSample, magnitude
 from pipeline.report_page.svg import Axis, frame, picture, power_of_ten, short, text
 
 MOST_HISTOGRAMS = 12
@@ -60,11 +60,19 @@ def density_charts(
     finite = sample.density[np.isfinite(sample.density)]
     if not len(finite):
         return []
-    low, high = np.quantile(np.log10(finite), [0.001, 0.999]).tolist()
-    thresholds = [np.log10(each.threshold) for each in drawn if each.threshold]
+    low, high = np.quantile(magnitude(finite), [0.001, 0.999]).tolist()
+    thresholds = [_magnitude(each.threshold) for each in drawn if _is_drawn(each.threshold)]
     low, high = min([low, *thresholds]) - 0.05, max([high, *thresholds]) + 0.05
     edges = np.linspace(low, high, _BINS + 1)
     return [_density_chart(sample, cluster, amounts, edges) for cluster in drawn]
+
+
+def _is_drawn(threshold: float | None) -> TypeGuard[float]:
+    return threshold is not None and np.isfinite(threshold)
+
+
+def _magnitude(density: float) -> float:
+    return float(magnitude(np.array([density]))[0])
 
 
 def _density_chart(
@@ -74,7 +82,7 @@ def _density_chart(
     density, labels = sample.density[members], sample.labels[members]
     scale = cluster.count / max(len(density), 1)
     finite = np.isfinite(density)
-    place = np.clip(np.log10(density[finite]), edges[0], edges[-1])
+    place = np.clip(magnitude(density[finite]), edges[0], edges[-1])
     every, _ = np.histogram(place, edges)
     gone, _ = np.histogram(place[labels[finite] == Label.DYNAMIC], edges)
     x = Axis(edges[0], edges[-1], 58, 380)
@@ -93,16 +101,14 @@ def _density_chart(
         _bars(x, y, edges, (every - gone) * scale, gone * scale, "static"),
         _bars(x, y, edges, gone * scale, np.zeros(len(gone)), "removed"),
     ]
-    if cluster.threshold:
-        at = x.at(float(np.log10(cluster.threshold)))
+    if _is_drawn(cluster.threshold):
+        at = x.at(_magnitude(cluster.threshold))
         parts.append(f'<path d="M{at} 170V28" class="threshold"/>')
         anchor = "start" if at < 250 else "end"
         beside = at + 5 if at < 250 else at - 5
         parts.append(text(beside, 32, f"threshold {cluster.threshold:.4g}", "note", anchor))
     cuts = amounts.cuts[cluster.index]
-    places = [
-        None if np.isnan(cut) else min(max(x.at(float(np.log10(cut))), 58), 380) for cut in cuts
-    ]
+    places = [None if np.isnan(cut) else min(max(x.at(_magnitude(cut)), 58), 380) for cut in cuts]
     listed = ",".join("" if place is None else f"{place:g}" for place in places)
     parts.append(f'<path d="M0 0" class="cut" data-places="{listed}" data-line="170 34"/>')
     flat = int(np.count_nonzero(np.isposinf(density)))

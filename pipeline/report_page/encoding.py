@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.report_page.amounts import NEVER, Amounts
-from pipeline.report_page.sample import MapSample
+from pipeline.report_page.sample import MapSample, magnitude
 
 AMOUNT_CODES = 600
 """Codes for each percent of the slider."""
@@ -125,7 +125,7 @@ def _density_codes(
     finite = np.isfinite(density)
     if not finite.any():
         return codes, None
-    low, high = np.quantile(np.log10(density[finite]), [0.005, 0.995]).tolist()
-    place = (np.log10(density[finite]) - low) / ((high - low) or 1.0)
+    low, high = np.quantile(magnitude(density[finite]), [0.005, 0.995]).tolist()
+    place = (magnitude(density[finite]) - low) / ((high - low) or 1.0)
     codes[finite] = np.rint(np.clip(place, 0, 1) * (_NO_DENSITY - 1))
     return codes, (low, high)

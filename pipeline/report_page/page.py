@@ -24,6 +24,7 @@ from pipeline.report_page.charts import (
 from pipeline.report_page.encoding import EncodedSample, encode
 from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import MOST_TILES, TileWork, shade_limits, tile_chart
+from pipeline.showing import printable
 
 _ASSETS = Path(__file__).resolve().parent / "assets"
 _SCRIPTS = ("three.bundle.js", "data.js", "scene.js", "views.js", "page.js")
@@ -109,7 +110,7 @@ def _template(name: str) -> str:
 
 
 def _title(report: RunReport) -> str:
-    name = Path(report.files[0].path).name
+    name = printable(Path(report.files[0].path).name)
     return name if len(report.files) == 1 else f"{name} and {len(report.files) - 1} more files"
 
 
@@ -149,14 +150,14 @@ def _figures(report: RunReport) -> str:
 def _warnings(report: RunReport) -> str:
     if not report.warnings:
         return '<p class="fine">No warnings.</p>'
-    lines = "".join(f"<li>{escape(warning)}</li>" for warning in report.warnings)
+    lines = "".join(f"<li>{escape(printable(warning))}</li>" for warning in report.warnings)
     return f'<ul class="warnings" id="warnings">{lines}</ul>'
 
 
 def _files(report: RunReport) -> str:
     rows = "".join(
-        f"<tr><td>{escape(file.path)}</td><td>{escape(file.format)}</td><td>{file.points:,}</td>"
-        f"<td>{in_units(file.size_bytes)}</td><td>{escape(', '.join(file.outputs))}</td></tr>"
+        f"<tr><td>{_name(file.path)}</td><td>{escape(file.format)}</td><td>{file.points:,}</td>"
+        f"<td>{in_units(file.size_bytes)}</td><td>{_name(', '.join(file.outputs))}</td></tr>"
         for file in report.files[:_MOST_FILES]
     )
     more = _more(len(report.files), _MOST_FILES, "files")
@@ -164,9 +165,13 @@ def _files(report: RunReport) -> str:
         '<div class="wide"><table><thead><tr><th>map</th><th>format</th><th>points</th>'
         "<th>size</th><th>written</th></tr></thead>"
         f"<tbody>{rows}</tbody></table>"
-        f"</div>{more}<p>Output folder: <code>{escape(report.output)}</code>. SHA-256 of the "
+        f"</div>{more}<p>Output folder: <code>{_name(report.output)}</code>. SHA-256 of the "
         f"input: <code>{escape(report.input_hash)}</code></p>"
     )
+
+
+def _name(name: str) -> str:
+    return escape(printable(name))
 
 
 def _sample_note(sample: MapSample, amounts: Amounts, removal: dict[str, Any]) -> str:

@@ -17,6 +17,14 @@ MOST_POINTS = 300_000
 """Points that a report shows, at most."""
 
 
+def magnitude(density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithms to base 10 of densities; finite for one that is rounded to zero.
+
+    Where k neighbours fill more than 1e308 cubic metres k / v is zero, or too small to be exact.
+    """
+    return np.log10(np.maximum(density, np.finfo(np.float64).tiny))
+
+
 @dataclass(frozen=True, slots=True)
 class MapSample:
     """Some points of a map, and what the method made of them; invalid points are not among them.

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from math import ceil, floor, log10
+from math import ceil, floor, isfinite, log10
 
 Format = Callable[[float], str]
 
@@ -36,6 +36,8 @@ class Axis:
         if span <= 0:
             return [self.low]
         rough = span / max(count, 1)
+        if not isfinite(rough):
+            raise ValueError(f"expected an axis of finite limits, found {self.low} to {self.high}")
         size = 10.0 ** floor(log10(rough))
         step = next(size * factor for factor in (1, 2, 5, 10) if size * factor >= rough * 0.999)
         first, last = ceil(self.low / step - 1e-9), floor(self.high / step + 1e-9)
@@ -86,5 +88,4 @@ def short(value: float) -> str:
 
 def power_of_ten(exponent: float) -> str:
     """Write 10 to a power as a number where that is short."""
-    value = 10.0**exponent
-    return short(value) if 1e-3 < value < 1e9 else f"1e{exponent:g}"
+    return short(10.0**exponent) if -3 < exponent < 9 else f"1e{exponent:g}"

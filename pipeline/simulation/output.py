@@ -1,5 +1,6 @@
 """A simulation on disk: the map, the truth, the poses, the scans, and two maps to compare with."""
 
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -24,8 +25,10 @@ from pipeline.simulation.products import (
     write_point_cloud,
 )
 from pipeline.simulation.simulate import Returns, SimulatedScan
+from tiling.output_file import writing_only_into
 
 _STAGING = ".simulation-partial"
+_SCAN_DIGITS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +207,7 @@ def _write_drive(
             poses.append(scan)
             if not map_only:
                 own = point_records(scan.in_sensor_frame(), returns, scan.number)
-                write_point_cloud(files.scans / f"{scan.number:06d}.pcd", own)
+                write_point_cloud(files.scans / f"{scan.number:0{_SCAN_DIGITS}d}.pcd", own)
             advance(len(returns))
         for kept in maps:
             kept.finish()
@@ -231,14 +234,18 @@ def _write_low_activity(
 def _staged(folder: Path) -> Iterator[Path]:
     """Give an empty folder to write in, whose files replace those of an earlier simulation."""
     staging = folder / _STAGING
+    _refuse_to_replace(folder)
     made_here = not folder.exists()
     shutil.rmtree(staging, ignore_errors=True)
     staging.mkdir(parents=True)
     try:
-        yield staging
+        with writing_only_into(staging):
+            yield staging
+        _refuse_to_replace(folder)
         _remove_earlier(SimulationFiles.in_folder(folder))
         written = [path for path in sorted(staging.rglob("*")) if path.is_file()]
-        for path in sorted(written, key=lambda path: path.name == "map.pcd"):
+        turn = {"simulation.yaml": 0, "map.pcd": 2}
+        for path in sorted(written, key=lambda path: turn.get(path.name, 1)):
             place = folder / path.relative_to(staging)
             place.parent.mkdir(exist_ok=True)
             path.replace(place)
@@ -248,12 +255,37 @@ def _staged(folder: Path) -> Iterator[Path]:
             folder.rmdir()
 
 
+def _refuse_to_replace(folder: Path) -> None:
+    """Refuse a folder with files of these names that no simulation wrote."""
+    files = SimulationFiles.in_folder(folder)
+    for place in (folder / _STAGING, files.scans):
+        if place.is_symlink():
+            raise OutputError(f"{place}: expected a folder, found a link")
+    if not _is_simulation(files.parameters):
+        for file in (files.map, *files.besides_map(), files.scans):
+            if os.path.lexists(file):
+                raise OutputError(
+                    f"{file}: there is something that no simulation wrote; choose another -o"
+                )
+
+
+def _is_simulation(parameters: Path) -> bool:
+    """Tell whether this is what a simulation writes of its parameters, the first of its files."""
+    try:
+        written = yaml.safe_load(parameters.read_bytes())
+    except (OSError, ValueError, yaml.YAMLError):
+        return False
+    return isinstance(written, dict) and {"scene", "seed"} <= written.keys()
+
+
 def _remove_earlier(files: SimulationFiles) -> None:
-    """Remove what an earlier simulation left, the map first, and no other file."""
+    """Remove what an earlier simulation left, the map first and the parameters last."""
     files.map.unlink(missing_ok=True)
+    for scan in files.scans.glob("[0-9]*.pcd"):
+        if scan.stem.isdecimal() and len(scan.stem) >= _SCAN_DIGITS:
+            scan.unlink()
     for file in files.besides_map():
-        file.unlink(missing_ok=True)
-    for scan in files.scans.glob("[0-9]*[0-9].pcd"):
-        scan.unlink()
+        if file != files.parameters:
+            file.unlink(missing_ok=True)
     if files.scans.is_dir() and not any(files.scans.iterdir()):
         files.scans.rmdir()

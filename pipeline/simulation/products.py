@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.simulation.shapes import Surface
 from pipeline.simulation.simulate import Returns, SimulatedScan
+from tiling.output_file import create_file
 
 POINT = np.dtype(
     [
@@ -50,7 +51,7 @@ class PointCloudFile:
         self._count = 0
         self._waiting: list[NDArray[np.void]] = []
         self._waiting_points = 0
-        self._file = path.open("wb")
+        self._file = create_file(path)
         self._file.write(_pcd_header(0))
 
     def append(self, records: NDArray[np.void]) -> None:
@@ -84,7 +85,7 @@ class PointCloudFile:
 
 def write_point_cloud(path: Path, records: NDArray[np.void]) -> None:
     """Write a binary PCD file at once."""
-    with path.open("wb") as file:
+    with create_file(path) as file:
         file.write(_pcd_header(len(records)))
         file.write(records.data)
 
@@ -105,7 +106,8 @@ class TruthFile:
         columns = [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
         self._schema = pa.schema([*columns, ("known", pa.bool_())] if known else columns)
         self._known = known
-        self._writer = pq.ParquetWriter(path, self._schema)
+        self._file = create_file(path)
+        self._writer = pq.ParquetWriter(self._file, self._schema)
         self._waiting: list[Returns] = []
         self._waiting_points = 0
 
@@ -138,9 +140,10 @@ class TruthFile:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if kind is None:
-            self._flush()
-        self._writer.close()
+        with self._file:
+            if kind is None:
+                self._flush()
+            self._writer.close()
 
 
 class PoseFiles:
@@ -151,13 +154,13 @@ class PoseFiles:
     """
 
     def __init__(self, poses: Path, true_poses: Path, times: Path) -> None:
-        self._files = [path.open("w", encoding="ascii") for path in (poses, true_poses, times)]
+        self._files = [create_file(path) for path in (poses, true_poses, times)]
 
     def append(self, scan: SimulatedScan) -> None:
         """Append the poses of a scan."""
         rows = (scan.estimated_pose.ravel(), scan.true_pose.ravel(), np.array([scan.start]))
         for file, row in zip(self._files, rows, strict=True):
-            file.write(" ".join(f"{value:.9f}" for value in row) + "\n")
+            file.write((" ".join(f"{value:.9f}" for value in row) + "\n").encode())
 
     def __enter__(self) -> Self:
         return self

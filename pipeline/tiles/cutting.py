@@ -8,9 +8,9 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.rows import write_rows
 from pipeline.tiles.taking_part import PointsTakingPart, make_left_out, note_left_out
 from pipeline.tiles.work import TaskReport
-from tiling.atomic import make_sized
 from tiling.chunks import assemble, has_chunk
 from tiling.formats.base import PointBatch
+from tiling.output_file import make_sized
 from tiling.pieces import write_pieces
 from tiling.survey import survey_batches
 

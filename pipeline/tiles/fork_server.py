@@ -110,6 +110,11 @@ def _own_temporary_files() -> Iterator[None]:
         yield
 
 
+def can_start_workers() -> bool:
+    """Tell whether processes can wait for each other: semaphores lie in `/dev/shm` on Linux."""
+    return sys.platform != "linux" or os.access("/dev/shm", os.W_OK | os.X_OK)
+
+
 def stop_fork_server() -> None:
     """Let that process end, and do not wait for it: by itself it outlives this one.
 

@@ -5,12 +5,16 @@ from pathlib import Path
 
 from pipeline.configuration import Configuration
 from pipeline.errors import OutputError
+from pipeline.evaluation.picture import drawing_library
 from pipeline.machine import available_cores
 from pipeline.map_state import unchanged
+from pipeline.named_file import check_named_file
 from pipeline.outputs import locked_folder
 from pipeline.plan import check_plan, make_plan
 from pipeline.progress import StageObserver
+from pipeline.replacing import refuse_own_folders
 from pipeline.resources import check_one_tile, is_one_tile
+from pipeline.showing import only_showing, printable
 from pipeline.taking_part import survey_map
 from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.tiles.job import CHUNKS_FOLDER
@@ -19,9 +23,13 @@ from pipeline.tiles.work import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from pipeline.units import open_collection
 from pipeline.workers import workers_for
 from tiling.formats.collection import content_hash, find_map_files
+from tiling.output_file import writing_only_into
 
 _PRODUCTS = ("chunks", "store.json")
 """What `tile` leaves; a folder that has the last of them is whole."""
+
+_PUBLISHING = "publishing"
+"""Within the work folder: they are being moved, so that those in the folder are no others."""
 
 
 def plan_map(
@@ -35,7 +43,11 @@ def plan_map(
         `PlanError` where the run would be refused.
     """
     workers = available_cores(configuration.execution.workers)
-    collection = open_collection(find_map_files(maps), configuration.input, workers)
+    paths = find_map_files(maps)
+    if picture is not None:
+        check_named_file(picture, ".png", paths)
+        drawing_library()  # before the work, not after it
+    collection = open_collection(paths, configuration.input, workers)
     observer.stage("survey", collection.point_count)
     surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
     observer.finish()
@@ -45,17 +57,20 @@ def plan_map(
         whole = configuration.tiling.model_copy(update=tiling)
         configuration = configuration.model_copy(update={"tiling": whole})
     plan = make_plan(collection, surveyed, configuration, workers)
+    drawn = ""
     if picture is not None:
         from pipeline.plan_picture import draw_plan  # noqa: PLC0415 (an optional package)
 
-        draw_plan(plan, surveyed, picture)
+        with only_showing(str(picture), observer.warn):
+            draw_plan(plan, surveyed, picture)
+            drawn = f"\ndrawn:             {printable(picture)}"
     text = plan.to_text()
     if one_tile:
         check_one_tile(collection, configuration)
         text += "\none tile: cleaned in memory, without temporary files"
     else:
         check_plan(plan, configuration, Path())
-    return text if picture is None else f"{text}\ndrawn:             {picture}"
+    return text + drawn
 
 
 def tile_map(
@@ -69,11 +84,12 @@ def tile_map(
         With no chunk in the folder.
     """
     paths = find_map_files(maps)
+    refuse_own_folders(output, paths)
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
     try:
-        with locked_folder(output), unchanged(paths) as state:
-            _take_back(output, work / CHUNKS_FOLDER)
+        with locked_folder(output), writing_only_into(output), unchanged(paths) as state:
+            _take_back(output, work)
             if {path.name for path in output.iterdir()} - {WORK_FOLDER, REMOVED_FOLDER}:
                 raise OutputError(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
@@ -92,6 +108,7 @@ def tile_map(
                 gather_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)
+            (work / _PUBLISHING).touch()
             for name in _PRODUCTS:
                 (work / CHUNKS_FOLDER / name).rename(output / name)
             remove_work(work)
@@ -103,6 +120,9 @@ def tile_map(
 
 def _take_back(output: Path, work: Path) -> None:
     """Take back what a run published that was killed before it had ended."""
+    if not (work / _PUBLISHING).exists():
+        return  # what is there is the user's
+    chunks = work / CHUNKS_FOLDER
     for name in _PRODUCTS:
-        if work.is_dir() and (output / name).exists() and not (work / name).exists():
-            (output / name).rename(work / name)
+        if (output / name).exists() and not (chunks / name).exists():
+            (output / name).rename(chunks / name)

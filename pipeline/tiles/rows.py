@@ -1,13 +1,13 @@
 """One value for each row of the map, in a file: labels, densities, classes."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from tiling.atomic import write_only
+from tiling.durable import sync
+from tiling.output_file import create_file, write_only
 
 _AT_A_TIME = 1 << 22
 
@@ -17,7 +17,8 @@ def make_rows(path: Path, count: int, dtype: DTypeLike, value: float) -> None:
     kind = np.dtype(dtype)
     temporary = path.with_suffix(".part")
     block = np.full(min(count, _AT_A_TIME), value, kind)
-    with temporary.open("wb") as stream:
+    temporary.unlink(missing_ok=True)
+    with create_file(temporary) as stream:
         for start in range(0, count, _AT_A_TIME):
             stream.write(block[: count - start].data)
     temporary.replace(path)
@@ -36,4 +37,4 @@ def write_rows(path: Path, first_row: int, values: NDArray[Any]) -> None:
         stream.seek(first_row * values.itemsize)
         stream.write(np.ascontiguousarray(values).data)
         stream.flush()
-        os.fsync(stream.fileno())
+        sync(stream.fileno())

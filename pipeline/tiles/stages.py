@@ -23,6 +23,7 @@ from pipeline.tiles.weighing import weigh_tile
 from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import file_of_part, write_part
 from tiling.ledger import noting
+from tiling.output_file import writing_only_into
 
 TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "survey": survey_rows,
@@ -61,11 +62,12 @@ def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     begun = time.perf_counter()
     files = _files_read(job, stage, number)
     _check_files(job, files)
-    with noting() as written:
-        report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
-    _check_files(job, files)
-    report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
-    job.work.finish(stage, number, report, written)
+    with writing_only_into(job.root):
+        with noting() as written:
+            report = TASKS[stage](job, number) if sides == 1 else TASKS[stage](job, number, sides)
+        _check_files(job, files)
+        report = TaskReport(report.points, report.counts, round(time.perf_counter() - begun, 3))
+        job.work.finish(stage, number, report, written)
     if stage in DIVISIBLE:
         give_memory_back()
     return report

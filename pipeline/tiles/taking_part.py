@@ -20,8 +20,8 @@ from pipeline.taking_part import hidden, may_leave_out, warn_of_left_out
 from pipeline.tiles.job import Job
 from pipeline.tiles.rows import open_rows, write_rows
 from pipeline.tiles.sealed import read_sealed, write_sealed
-from tiling.atomic import make_sized
 from tiling.formats.base import PointBatch
+from tiling.output_file import make_sized
 
 SET_ASIDE_FILE = "set_aside.json"
 _LEFT_OUT = "left_out"

@@ -30,6 +30,9 @@ FAST = [
     "ground.slope.extension=0.3",
     "ground.slope.storey_radius=0.5",
     "max_height=2",
+    # The classes and flags of the maps here are arbitrary.
+    "input.leave_out=[]",
+    "input.leave_out_withheld=false",
 ]
 ONE_TILE, TILES = "tiling.max_points=1000000", "tiling.max_points=900"
 

@@ -76,7 +76,6 @@ def test_what_a_killed_run_left_is_cleared(tmp_path):
         raise RuntimeError
     left.mkdir()
     (left / "static.pcd").write_text("half", encoding="utf-8")
-    (tmp_path / "dynamic.pcd").write_text("published before the kill", encoding="utf-8")
     with output_folder(tmp_path, RESULTS) as staging:
         assert listing(staging) == []
         write_results(staging)

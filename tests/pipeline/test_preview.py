@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.configuration import load_configuration
 from pipeline.errors import ConfigurationError
-from pipeline.preview import SMALLEST_SIDE, WHOLE, Window, preview, typical_window
+from pipeline.preview import PART_FOLDER, SMALLEST_SIDE, WHOLE, Window, preview, typical_window
 from pipeline.progress import LogDisplay, StageObserver
 from tiling.formats import open_map
 from tiling.formats.base import PointBatch
@@ -34,7 +34,7 @@ def observer():
 
 
 def part_of(folder, suffix=".npy"):
-    (part,) = folder.glob(f"part_*{suffix}")
+    (part,) = (folder / PART_FOLDER).glob(f"part_*{suffix}")
     return np.concatenate([batch.xyz for batch in open_map(part).batches()])
 
 
@@ -82,7 +82,7 @@ def test_a_small_map_is_taken_whole_and_nothing_is_said(map_file, tmp_path):
     report = previewed([map_file], tmp_path / "out", points=6_000)
     assert report.points == 6_000
     assert report.warnings == []
-    assert not list((tmp_path / "out").glob("part_*"))
+    assert not list((tmp_path / "out").rglob("part_*"))
 
 
 def test_the_report_is_written_whatever_the_configuration_says(map_file, tmp_path):
@@ -113,7 +113,7 @@ def test_a_part_of_a_las_map_keeps_fields_and_classes(tmp_path):
               settings=["ground.method=las_class"])  # fmt: skip
     whole = laspy.read(tmp_path / "hall.laz")
     inside = window.holds(np.column_stack([whole.x, whole.y, whole.z]))
-    part = laspy.read(tmp_path / "out" / "part_hall.laz")
+    part = laspy.read(tmp_path / "out" / PART_FOLDER / "part_hall.laz")
     np.testing.assert_array_equal(part.classification, whole.classification[inside])
 
 

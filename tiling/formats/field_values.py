@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.base import DEFAULT_BATCH, MapReader
+from tiling.parquet_file import open_parquet
 
 
 def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
@@ -81,9 +82,8 @@ def _las_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
 
 
 def _parquet_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
-    import pyarrow.parquet as pq  # noqa: PLC0415
 
-    with pq.ParquetFile(reader.description.path) as file:
+    with open_parquet(reader.description.path) as file:
         for batch in file.iter_batches(DEFAULT_BATCH, columns=[name], use_threads=False):
             yield batch.column(0).to_numpy(zero_copy_only=False)
 

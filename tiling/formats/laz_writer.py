@@ -14,6 +14,7 @@ from tiling.formats.las_summary import LasSummary
 from tiling.formats.las_surroundings import LasSurroundings
 from tiling.formats.laz_header import Compression, own_compression
 from tiling.formats.lazrs_pool import LARGEST_PARALLEL_CHUNK, chunks_at_a_time
+from tiling.output_file import create_file
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -56,7 +57,7 @@ class LazWriter(MapWriter):
         data = _followed_compression(header, compression)
         self._surroundings = LasSurroundings(header, data)
         vlr = lazrs.LazVlr(compression.data if data is None else data)
-        self._file = path.open("wb")
+        self._file = create_file(path)
         try:
             self._surroundings.write_header(self._file)
             self._points = _chunks(self._file, vlr, point_count, threads)

@@ -28,6 +28,7 @@ from tiling.formats.leftover import check_leftover
 from tiling.formats.npy import array_fields
 from tiling.formats.npy_array import ArrayHeader, RowReader, RowWriter, read_array_header
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.output_file import create_file
 
 _POINT_ARRAYS = ("points", "xyz", "arr_0")
 _COMPRESSIONS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
@@ -201,7 +202,8 @@ class _NpzWriter(MapWriter):
         super().__init__(path, point_count)
         self._source = source
         self._members = members
-        self._archive = zipfile.ZipFile(path, "w")
+        self._file = create_file(path)
+        self._archive = zipfile.ZipFile(self._file, "w")
         self._stack = ExitStack()
         self._arrays: dict[str, tuple[BinaryIO, RowWriter]] = {}
         for member in members:
@@ -216,7 +218,7 @@ class _NpzWriter(MapWriter):
             rows.write(np.ascontiguousarray(records[field]))
 
     def _finish(self) -> None:
-        with self._stack, self._archive, _archive(self._source) as source:
+        with self._file, self._stack, self._archive, _archive(self._source) as source:
             for member in self._members:
                 info = zipfile.ZipInfo(member.info.filename, member.info.date_time)
                 info.compress_type = member.info.compress_type
@@ -231,7 +233,7 @@ class _NpzWriter(MapWriter):
                             shutil.copyfileobj(entry, target, _BLOCK)
 
     def _abandon(self) -> None:
-        with self._stack:
+        with self._file, self._stack:
             self._archive.close()
 
 

@@ -29,6 +29,8 @@ from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat
 from tiling.formats.parquet_sizes import check_sizes
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.output_file import create_file
+from tiling.parquet_file import open_parquet
 
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
@@ -273,8 +275,9 @@ class _ParquetWriter(MapWriter):
         self._schema = schema
         self._gathered: list[pa.Table] = []
         self._rows = self._bytes = 0
+        self._file = create_file(path)
         self._writer = pq.ParquetWriter(
-            path,
+            self._file,
             schema,
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
@@ -294,12 +297,14 @@ class _ParquetWriter(MapWriter):
             self._write_groups(self._rows - self._rows % self._group_rows)
 
     def _finish(self) -> None:
-        self._write_groups(self._rows)
-        self._writer.close()
+        with self._file:
+            self._write_groups(self._rows)
+            self._writer.close()
 
     def _abandon(self) -> None:
         self._gathered = []
-        self._writer.close()
+        with self._file:
+            self._writer.close()
 
     def _write_groups(self, rows: int) -> None:
         """Write that many of the rows gathered."""
@@ -319,7 +324,7 @@ def _opened(path: Path, texts: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
     Texts are given as references to each different one.
     """
     try:
-        with pq.ParquetFile(
+        with open_parquet(
             path,
             buffer_size=_READ_BUFFER,
             read_dictionary=list(texts),

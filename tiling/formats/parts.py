@@ -5,7 +5,6 @@ how many points come before it. The bytes are those that one process writes, sin
 writes a single part.
 """
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,9 +15,10 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.atomic import new_file, write_only
+from tiling.durable import sync
 from tiling.errors import PointCountError
 from tiling.formats.base import MapWriter
+from tiling.output_file import create_shared, write_only
 
 
 @dataclass(slots=True)
@@ -81,7 +81,7 @@ class PartWriter(ABC):
 
     def create(self) -> None:
         """Write all but the points, and give the file its full size."""
-        with new_file(self.path) as file:
+        with create_shared(self.path) as file:
             self._write_surroundings(file)
 
     def open_part(self, first: int) -> "MapPart":
@@ -174,7 +174,7 @@ class MapPart:
     def flush(self) -> None:
         """Wait until what was written is on the disk."""
         self._file.flush()
-        os.fsync(self._file.fileno())
+        sync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file."""

@@ -38,6 +38,7 @@ from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.pcd_header import PcdField, PcdHeader, read_header
 from tiling.formats.text_rows import RowLayout, read_rows
+from tiling.output_file import create_file
 
 _SIZES = struct.Struct("<II")
 """What precedes compressed data: their size, and that of the columns."""
@@ -281,7 +282,7 @@ class PcdWriter(MapWriter):
 
     def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
         super().__init__(path, point_count)
-        self._stream = Path(path).open("wb")  # noqa: SIM115 - closed by `_finish` and `_abandon`
+        self._stream = create_file(path)  # closed by `_finish` and `_abandon`
         self._stream.write(header.for_points(point_count))
 
     def _finish(self) -> None:

@@ -23,6 +23,7 @@ from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.ply_header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply_rows import PlyRows, open_rows
+from tiling.output_file import create_file
 
 _BLOCK = 1 << 20
 
@@ -271,7 +272,7 @@ class _PlyWriter(MapWriter):
         super().__init__(path, point_count)
         self._is_text = header.encoding == "ascii"
         self._kept = kept
-        self._file = path.open("wb")
+        self._file = create_file(path)
         self._file.write(header.encode(point_count))
         kept.copy_before(self._file)
 

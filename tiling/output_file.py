@@ -1,0 +1,113 @@
+"""The one place where outputs are opened to be written: new files, and only where they may lie.
+
+A run never opens what is there already, nor writes through a link. What replaces a file is written
+beside it and renamed, see `tiling.atomic`.
+"""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from io import BufferedWriter
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from tiling.ledger import NotedFile
+
+_folder: ContextVar[Path | None] = ContextVar("output folder", default=None)
+
+
+@contextmanager
+def writing_only_into(folder: Path) -> Iterator[None]:
+    """Refuse, in this block, to open a file for writing that lies outside a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Compared with places as the system resolves them, links and `..` included.
+    """
+    token = _folder.set(folder.resolve())
+    try:
+        yield
+    finally:
+        _folder.reset(token)
+
+
+def check_place(path: Path) -> None:
+    """Check that a file lies where this block may write, see `writing_only_into`.
+
+    Raises
+    ------
+    PermissionError
+        When it does not.
+    """
+    folder = _folder.get()
+    if folder is not None and not path.parent.resolve().is_relative_to(folder):
+        raise PermissionError(errno.EPERM, f"lies outside the output folder, {folder}", str(path))
+
+
+def create_file(path: Path) -> BinaryIO:
+    """Open a new file to be written, and read again.
+
+    Outside a block of `writing_only_into`, an earlier file or link of this name makes way for it.
+
+    Raises
+    ------
+    FileExistsError
+        When there is something of this name.
+    PermissionError
+        When it lies outside the folder that is written into.
+    """
+    check_place(path)
+    if _folder.get() is None:
+        path.unlink(missing_ok=True)
+    return path.open("x+b")
+
+
+def write_only(path: Path) -> BinaryIO:
+    """Open a file that is there to write bytes anywhere in it, beside other processes.
+
+    Not to be read from: NFS then sends the very bytes that were written. Of a file that may be
+    read as well it reads, and later writes back, whole pages, and so undoes what other machines
+    wrote there.
+
+    Raises
+    ------
+    PermissionError
+        When it lies outside the folder that is written into.
+    """
+    check_place(path)
+    return cast(BinaryIO, BufferedWriter(NotedFile(path, "wb", opener=_as_it_is)))
+
+
+def _as_it_is(path: str, flags: int) -> int:
+    return os.open(path, flags & ~(os.O_CREAT | os.O_TRUNC) | os.O_NOFOLLOW)
+
+
+def create_shared(path: Path) -> BinaryIO:
+    """Open a new file that several processes will fill in, to write what is known of it already.
+
+    Raises
+    ------
+    FileExistsError, PermissionError
+        As `create_file`.
+    """
+    check_place(path)
+    if _folder.get() is None:
+        path.unlink(missing_ok=True)
+    return cast(BinaryIO, BufferedWriter(NotedFile(path, "xb")))
+
+
+def make_sized(path: Path, size: int) -> None:
+    """Make a file of some size, or give an earlier one that size; what is missing is zero.
+
+    Raises
+    ------
+    PermissionError
+        When it lies outside the folder that is written into.
+    """
+    check_place(path)
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    with os.fdopen(handle, "ab") as file:
+        file.truncate(size)
