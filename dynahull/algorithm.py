@@ -64,8 +64,8 @@ def clean(
     points : (N, 3) array_like
         The map, in metres; NaN and infinite coordinates are allowed and labelled invalid.
     parameters : MethodParameters, dict or str, optional
-        All parameters, or the name of a ready configuration (`"paper"`, `"indoor"`, `"outdoor"`);
-        those of the paper by default.
+        All parameters, or the name of a ready configuration (`"paper"`, `"auto"`, `"indoor"`,
+        `"outdoor"`); those of the paper by default.
     classification : (N,) array_like of int, optional
         ASPRS classes, for `ground.method: las_class`.
     left_out : (N,) array_like of bool, optional

@@ -7,6 +7,7 @@ from typing import Any
 READY: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "paper": {},
+        "auto": {"removal": {"decision": "auto", "confidence": 0.5}},
         "indoor": {"max_height": 2.5},
         "outdoor": {
             "ground": {

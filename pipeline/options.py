@@ -26,7 +26,7 @@ ConfigurationSource = Annotated[
         "-c",
         "--config",
         metavar="CONFIG.yaml",
-        help="Configuration file, or one of: paper, indoor, outdoor.",
+        help="Configuration file, or one of: paper, auto, indoor, outdoor.",
     ),
 ]
 Settings = Annotated[

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
+from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
 from dynahull.evidence.forest import Forest
@@ -160,7 +161,9 @@ def _fitted(
         l2_regularization=1.0,
         early_stopping=False,
         random_state=0,
-    ).fit(terms, moved, sample_weight=weights)
+    )
+    with threadpool_limits(1):  # threads that wait for each other take more time than they save
+        model.fit(terms, moved, sample_weight=weights)
     # scikit-learn has no public way to read its trees; the tests compare ours with its own odds.
     return {
         "terms": list(names),

@@ -96,6 +96,19 @@ def removal_amounts(
     return Amounts(own, removed_from, removed.astype(np.int64), cuts, margin)
 
 
+def decided_amounts(sample: MapSample, clusters: Sequence[ClusterReport]) -> Amounts:
+    """Return what there is where no amount was asked for: the points that the run removed."""
+    steps = round(100 / TABLE_STEP) + 1
+    own = 100.0
+    return Amounts(
+        own,
+        np.where(sample.labels == Label.DYNAMIC, own, NEVER),
+        np.full(steps, sum(cluster.removed for cluster in clusters), np.int64),
+        {cluster.index: np.full(round(100 / _CUT_STEP) + 1, np.nan) for cluster in clusters},
+        0.0,
+    )
+
+
 def _members(sample: MapSample) -> dict[int, NDArray[np.intp]]:
     """Return, for each cluster, the indices of its sampled points."""
     order = np.argsort(sample.cluster, kind="stable")

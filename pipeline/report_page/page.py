@@ -14,7 +14,12 @@ from dynahull.parameters import RemovalParameters
 from dynahull.result import ClusterSummary
 from pipeline.quantities import in_time, in_units
 from pipeline.report import ClusterReport, RunReport
-from pipeline.report_page.amounts import TABLE_STEP, Amounts, removal_amounts
+from pipeline.report_page.amounts import (
+    TABLE_STEP,
+    Amounts,
+    decided_amounts,
+    removal_amounts,
+)
 from pipeline.report_page.charts import (
     MOST_HISTOGRAMS,
     density_charts,
@@ -65,7 +70,10 @@ class Views:
     ) -> Self:
         """Prepare the views of a run, from its sample, its clusters and how they were cut."""
         clusters = [ClusterReport.of(summary) for summary in summaries]
-        amounts = removal_amounts(sample, clusters, removal.model_dump())
+        if removal.weighs_evidence:
+            amounts = decided_amounts(sample, clusters)
+        else:
+            amounts = removal_amounts(sample, clusters, removal.model_dump())
         densities = _densities(sample, clusters, amounts)
         return cls(sample, amounts, encode(sample, amounts), densities)
 
@@ -82,7 +90,11 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
         None where the map was one tile, cleaned in memory.
     """
     removal = report.configuration["removal"]
+    weighs = removal["decision"] == "auto"
     contents = {
+        "hidden": " hidden" if weighs else "",
+        "question": "What was removed" if weighs else "What would another amount take?",
+        "losses": "What each cluster loses" if weighs else "Eq. 1: how much each cluster loses",
         "title": escape(_title(report)),
         "subtitle": _subtitle(report),
         "figures": _figures(report),
@@ -90,7 +102,7 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
         "files": _files(report),
         "note": _sample_note(views.sample, views.amounts, removal),
         "rescale": rescale_chart(report.clusters, removal),
-        "equation": _equation(removal),
+        "equation": _confidence(removal) if weighs else _equation(removal),
         "clusters": _cluster_table(report),
         "densities": views.densities,
         "tiles": _tiles(report, tiles),
@@ -187,6 +199,8 @@ def _sample_note(sample: MapSample, amounts: Amounts, removal: dict[str, Any]) -
             "Which points are red is estimated from the sample: the cut of a cluster is right to "
             f"about ± {amounts.margin:.2g} % of its points (95 %)."
         )
+    if removal["decision"] == "auto":
+        return f"{shown} Red is what was removed."
     stepped = (
         " With the threshold <code>stepped</code> the count is that of the run, in proportion."
         if removal["threshold"] == "stepped"
@@ -204,6 +218,13 @@ def _equation(removal: dict[str, Any]) -> str:
     return (
         f"R_i = (N_i - N_min) / (N_max - N_min) × ({high:g} % - {low:g} %) + {low:g} %: "  # noqa: RUF001
         "the larger a cluster is, the larger the share of it that is removed."
+    )
+
+
+def _confidence(removal: dict[str, Any]) -> str:
+    return (
+        "Points go whose probability of having moved is at least "
+        f"removal.confidence = {removal['confidence']:g}. R_i is what Eq. 1 would take."
     )
 
 
