@@ -123,10 +123,8 @@ class Campaign:
         self._folder = folder
         self._settings = [word for each in settings for word in ("--set", each)]
         process = self.start(Fault())
-        self.wait_for_work(process)
-        begun = time.perf_counter()
+        self.tasks = self.wait_for_tasks(process)
         process.join()
-        self.seconds = time.perf_counter() - begun
         if process.exitcode:
             raise HarmError(f"an undisturbed run: exit code {process.exitcode}, {self._errors()}")
         self.calls = int((self._folder / "calls").read_text())
@@ -139,10 +137,14 @@ class Campaign:
         process.start()
         return process
 
-    def wait_for_work(self, process: BaseProcess) -> None:
-        """Wait until a run has begun to leave work, or has ended."""
-        while process.is_alive() and not (self.out / WORK).exists():
+    def wait_for_tasks(self, process: BaseProcess, wanted: int | None = None) -> int:
+        """Wait until so many tasks are done, or the run has ended; return how many were seen."""
+        seen = 0
+        while process.is_alive() and (wanted is None or seen < wanted):
+            names = (name for _, _, names in os.walk(self.out / WORK) for name in names)
+            seen = max(seen, sum(name.endswith(".done") for name in names))
             time.sleep(0.002)
+        return seen
 
     def run(self, fault: Fault) -> tuple[int, list[str]]:
         """Run, and return the exit code and the lines of errors."""
@@ -197,8 +199,7 @@ class Campaign:
 def damage(campaign: Campaign) -> str:
     """Kill a run, and damage what it leaves."""
     process = campaign.start(Fault())
-    campaign.wait_for_work(process)
-    process.join(campaign.chance.uniform(0.1, 0.9) * campaign.seconds)
+    campaign.wait_for_tasks(process, campaign.chance.randint(1, max(campaign.tasks - 1, 1)))
     if process.is_alive() and process.pid is not None:
         os.killpg(process.pid, signal.SIGKILL)
     process.join()

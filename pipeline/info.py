@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from pipeline.duplicates import DuplicateCounter
-from pipeline.showing import printable as readable
 from pipeline.units import in_words
-from tiling.foreign_text import LONGEST_LINE, printable
+from tiling.foreign_text import LONGEST_LINE, escaped, printable
 from tiling.formats import MapReader
 from tiling.formats.collection import MapCollection, find_map_files
 from tiling.formats.units import Units
@@ -95,7 +94,7 @@ class MapInfo(BaseModel):
         """Return the information as aligned lines."""
         lines = []
         for file in self.files:
-            lines += [f"file        {readable(file.path)}", f"format      {file.format}"]
+            lines += [f"file        {escaped(file.path)}", f"format      {file.format}"]
             lines += [f"points      {file.points:,}", f"size        {file.size_bytes:,} bytes"]
             more = len(file.fields) - _NAMED_FIELDS
             fields = ", ".join(file.fields[:_NAMED_FIELDS]) + (f" and {more} more" * (more > 0))

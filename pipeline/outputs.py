@@ -160,6 +160,7 @@ def _try_names(staging: Path, results: Sequence[Path]) -> None:
     There are some that take two names for one, and some that do not take every name.
     """
     trial = staging / "names"
+    trial.mkdir()
     for name in results:
         place = trial / name
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,13 @@
 """What only shows results never fails a run: reports, pictures, pages, bars; and names in them."""
 
 import logging
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from tiling.foreign_text import escaped as printable
+
+__all__ = ["is_text", "only_showing", "printable"]
 
 logger = logging.getLogger("dynahull")
 
@@ -29,20 +32,6 @@ def only_showing(what: str, warn: Callable[[str], None]) -> Iterator[None]:
             f"{what} could not be made ({type(error).__name__}: {printable(reason):.200}); "
             "the results are whole without it"
         )
-
-
-def printable(name: str | Path) -> str:
-    r"""Return a name, or other text that is not ours, as text that any terminal and file takes.
-
-    Bytes of names that are not UTF-8 become `\xff`, and so do control characters.
-    """
-    try:
-        text = os.fsencode(name).decode("utf-8", "backslashreplace")
-    except UnicodeEncodeError:  # not a name: half a surrogate pair
-        text = str(name).encode("utf-8", "backslashreplace").decode()
-    return "".join(
-        each if each.isprintable() else each.encode("unicode_escape").decode() for each in text
-    )
 
 
 def is_text(name: str | Path) -> bool:

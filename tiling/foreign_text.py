@@ -1,5 +1,8 @@
 """Text that comes from files or their names, made fit for one line of a terminal or a log."""
 
+import os
+from pathlib import Path
+
 LONGEST_FOREIGN = 200
 """Characters of a name, or of what a file holds, that a message quotes."""
 
@@ -16,7 +19,7 @@ def printable(text: object, most: int = LONGEST_FOREIGN) -> str:
     """Return text of one line, without control characters, cut where it is too long.
 
     Escape sequences, line ends, marks that turn the direction of writing, and bytes of file names
-    that are no text become question marks.
+    that are no text are written out: see `escaped`.
 
     Parameters
     ----------
@@ -25,10 +28,22 @@ def printable(text: object, most: int = LONGEST_FOREIGN) -> str:
     most : int
         Characters of the result.
     """
-    line = str(text)
-    if len(line) > most:
-        line = line[: most - len(_CUT)] + _CUT
-    return "".join(c if c.isprintable() else "?" for c in line)
+    line = escaped(str(text)[: most + 1])
+    return line if len(line) <= most else line[: most - len(_CUT)] + _CUT
+
+
+def escaped(name: str | Path) -> str:
+    r"""Return a name, or other text that is not ours, as text that any terminal and file takes.
+
+    Bytes of names that are not UTF-8 become `\xff`, and so do control characters.
+    """
+    try:
+        text = os.fsencode(name).decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # not a name: half a surrogate pair
+        text = str(name).encode("utf-8", "backslashreplace").decode()
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode() for each in text
+    )
 
 
 def printable_path(path: object) -> str:

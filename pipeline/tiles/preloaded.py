@@ -23,7 +23,7 @@ def _load() -> None:
     with _without("scipy.linalg"):
         import_module("dynahull.loading").load_compiled()
     # Else workers, which take this over, tell how they start and stop.
-    logging.getLogger("distributed").setLevel(logging.ERROR)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     # The first conversion imports pandas, where that is installed.
     import_module("pyarrow").array(np.empty(0))
 

@@ -31,7 +31,7 @@ from pipeline.tiles.execution import (
     TaskFailure,
     local_workers,
 )
-from pipeline.tiles.fork_server import START_METHOD
+from pipeline.tiles.fork_server import START_METHOD, stop_fork_server
 from pipeline.tiles.work import TaskReport
 
 # Workers cannot import the tests: what these hand them is sent whole.
@@ -134,6 +134,7 @@ def test_starting_workers_leaves_this_process_its_threads(monkeypatch):
     names = ("OMP_NUM_THREADS", "RAYON_NUM_THREADS")
     for name in names:
         monkeypatch.setenv(name, "7")
+    stop_fork_server()  # one of an earlier test may have been started otherwise
     with local_workers(1, 1 << 30) as executor:
         assert dict(executor.run(answer, "abc", [0])) == {0: TaskReport(0, (3,))}
         assert {name: os.environ[name] for name in names} == dict.fromkeys(names, "7")

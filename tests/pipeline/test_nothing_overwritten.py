@@ -1,5 +1,6 @@
 """Attacks on what is the user's: maps that a command reads, and files beside its outputs."""
 
+import errno
 import hashlib
 import json
 import os
@@ -14,6 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from pipeline import outputs
+from pipeline import run as run_module
 from pipeline.configuration import load_configuration
 from pipeline.errors import OutputError
 from pipeline.evaluation.options import EvaluationOptions
@@ -192,6 +195,26 @@ def test_an_earlier_result_among_several_inputs_is_not_removed(tmp_path):
     with pytest.raises(OutputError, match="this input lies where a result goes"):
         clean([tmp_path / "out/static.npy", tmp_path / "out/dynamic.npy"], tmp_path / "out")
     assert state(tmp_path) == before
+
+
+def test_two_results_that_a_file_system_takes_for_one_are_refused_before_any_work(
+    tmp_path, monkeypatch
+):
+    """As file systems do that know no capitals."""
+    made = set()
+
+    def create(path):
+        name = str(path).casefold()
+        if name in made:
+            raise FileExistsError(errno.EEXIST, "File exists", str(path))
+        made.add(name)
+        return create_file(path)
+
+    monkeypatch.setattr(outputs, "create_file", create)
+    maps = [save(tmp_path / "maps/A.npy"), save(tmp_path / "maps/a.npy", seed=1)]
+    monkeypatch.setattr(run_module, "content_hash", lambda paths: pytest.fail("the work began"))
+    with pytest.raises(OutputError, match=r"a\.npy: two files of the map would be written here"):
+        clean(maps, tmp_path / "out")
 
 
 @pytest.mark.parametrize("place", [".dynahull-partial", ".dynahull-work/tiles"])
@@ -470,5 +493,9 @@ def test_nothing_but_the_output_folder_is_ever_opened_for_writing(tmp_path, comm
     own = [tmp_path / "out", tmp_path / "tmp", Path("/dev")]
     # Compiled code is kept where Python finds it, see `dynahull.compilation`.
     own += [Path.home() / ".cache", Path(__file__).resolve().parents[2]]
+    # Sockets lie in a private folder of a shorter name, see `pipeline.temporary`.
+    own += [
+        each for each in places if each.parent == Path("/tmp") and each.name.startswith("dynahull-")
+    ]
     foreign = [each for each in places if not any(each.is_relative_to(place) for place in own)]
     assert foreign == []

@@ -204,7 +204,7 @@ def test_a_viewer_that_cannot_draw_is_an_error(tmp_path, monkeypatch):
 def test_a_recording_goes_into_a_folder_that_is_there(tmp_path, monkeypatch):
     folder = result(tmp_path)
     monkeypatch.setattr(view, "_import_rerun", fake_rerun)
-    with pytest.raises(OutputError, match=r"map\.rrd: expected a folder to write into"):
+    with pytest.raises(OutputError, match=r"map\.rrd: expected a folder to write in"):
         view_result(folder, tmp_path / "none" / "map.rrd")
 
 

@@ -605,5 +605,5 @@ def test_a_name_that_is_not_text_is_said(place):
         pytest.skip("this file system takes UTF-8 names only")
     place.write("incoming/a.npy", "one")
     summary = place.night()
-    assert summary.problems == [f"{place.incoming}/caf?.npy: its name is not UTF-8"]
+    assert summary.problems == [f"{place.incoming}/caf\\xe9.npy: its name is not UTF-8"]
     assert [line.outcome for line in summary.maps] == ["cleaned"]
