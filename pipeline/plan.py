@@ -10,7 +10,13 @@ from dynahull.ground.reach import ground_radius, height_radius
 from pipeline.configuration import Configuration
 from pipeline.errors import PlanError
 from pipeline.quantities import in_time, in_units
-from pipeline.resources import BASE_BYTES, check_space, output_size, worker_memory_limit
+from pipeline.resources import (
+    BASE_BYTES,
+    EVIDENCE_BYTES,
+    check_space,
+    output_size,
+    worker_memory_limit,
+)
 from tiling.formats.collection import MapCollection
 from tiling.kept_points import bytes_kept
 from tiling.layout import Layout, quadtree
@@ -25,6 +31,9 @@ _BYTES_ON_DISK = 100
 
 _SCORES_ON_DISK = 48
 """A point of the map: densities, labels, and what else is kept of each row."""
+
+_EVIDENCE_ON_DISK = 260
+"""A point of the map where evidence is weighed, at most: spread, terms that are kept, voxels."""
 
 _MICROSECONDS_A_POINT = 8.0
 """Of the core; on one worker of a machine of 2023."""
@@ -141,6 +150,9 @@ def make_plan(
     held = points_held(layout, survey.occupancy, halo)
     gathered = held if around == halo else points_held(layout, survey.occupancy, around)
     core, all_held = int(layout.counts.sum()), int(held.sum())
+    weighs = configuration.removal.weighs_evidence
+    each = _BYTES_A_POINT + (EVIDENCE_BYTES if weighs else 0)
+    kept = _SCORES_ON_DISK + (_EVIDENCE_ON_DISK if weighs else 0)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     return Plan(
         point_count=survey.point_count,
@@ -148,10 +160,8 @@ def make_plan(
         halo=halo,
         held=held,
         workers=workers,
-        worker_memory=BASE_BYTES + _BYTES_A_POINT * int(gathered.max(initial=0)),
-        disk=all_held * _BYTES_ON_DISK
-        + survey.point_count * _SCORES_ON_DISK
-        + bytes_kept(collection),
+        worker_memory=BASE_BYTES + each * int(gathered.max(initial=0)),
+        disk=all_held * _BYTES_ON_DISK + survey.point_count * kept + bytes_kept(collection),
         output_size=output_size(collection, configuration),
         seconds=seconds / 1e6 / workers,
     )

@@ -19,6 +19,10 @@ _BYTES_A_POINT_IN_MEMORY = 120
 _BYTES_A_POINT_UNDER_CLOTH = 330
 """Of the same where the ground is found by `csf`."""
 
+EVIDENCE_BYTES = 500
+"""A point where evidence is weighed, beyond the others: sums over voxels, of which there are no more
+than points, and the terms of a batch."""
+
 _LABELLED_BYTES = 10
 """A point of a labelled map, beyond those of the input: label, density, class."""
 
@@ -108,6 +112,8 @@ def _one_tile_memory(collection: MapCollection, configuration: Configuration) ->
     """Return the bytes that a map of one tile takes, and those that there are."""
     cloth = configuration.ground.method == "csf"
     each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
+    if configuration.removal.weighs_evidence:
+        each += EVIDENCE_BYTES
     memory = configuration.execution.memory
     free = available_memory() if memory == "auto" else memory
     return BASE_BYTES + each * collection.point_count, free

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dynahull import MethodParameters
 from dynahull.clustering import Clusters
-from dynahull.density import cluster_densities
+from dynahull.density import SPREAD_COLUMNS, cluster_densities
 from pipeline.borders import Region, core_densities
 from pipeline.nearest import FreePoints
 
@@ -50,10 +50,13 @@ class Grid:
 def whole(points, clusters, parameters):
     membership = clusters.nearest(points.xyz)
     density = np.full(len(points), np.nan)
+    spread = np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32)
     for cluster in np.unique(membership):
         members = np.flatnonzero(membership == cluster)
-        density[members] = cluster_densities(points.xyz[members], points.rows[members], parameters)
-    return membership, density
+        density[members], spread[members] = cluster_densities(
+            points.xyz[members], points.rows[members], parameters
+        )
+    return membership, density, spread
 
 
 @settings(deadline=None, max_examples=25)
@@ -75,13 +78,20 @@ def test_tiles_score_what_the_whole_map_scores(seed, k, halo, size, shift, kind,
         xyz = xyz[random.integers(0, 60, 250)]
     points = FreePoints(xyz + shift, random.permutation(250).astype(np.int64))
     clusters = Clusters(np.array([[-1.0, 0, 0], [1, 0, 0], [9, 9, 0]]) + shift)
-    parameters = MethodParameters.of({"neighbours": {"k": k}, "density": {"device": device}})
-    membership, density = whole(points, clusters, parameters)
+    parameters = MethodParameters.of(
+        {
+            "neighbours": {"k": k},
+            "density": {"device": device},
+            "removal": {"decision": "auto"},
+        }
+    )
+    membership, density, spread = whole(points, clusters, parameters)
     grid = Grid(points, size, halo)
     for tile in range(len(grid.names)):
         core, scores = grid.scored(tile, clusters, parameters)
         np.testing.assert_array_equal(scores.cluster, membership[core])
         np.testing.assert_array_equal(scores.density, density[core])
+        np.testing.assert_array_equal(scores.spread, spread[core])
 
 
 @pytest.mark.parametrize("halo", [0.5, 3.0])
