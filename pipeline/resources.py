@@ -20,8 +20,8 @@ _BYTES_A_POINT_UNDER_CLOTH = 330
 """Of the same where the ground is found by `csf`."""
 
 EVIDENCE_BYTES = 500
-"""A point where evidence is weighed, beyond the others: sums over voxels, of which there are no more
-than points, and the terms of a batch."""
+"""A point where evidence is weighed, beyond the others: sums over voxels, of which there are no
+more than points, and the terms of a batch."""
 
 _LABELLED_BYTES = 10
 """A point of a labelled map, beyond those of the input: label, density, class."""
