@@ -173,3 +173,15 @@ def test_no_night_writes_through_a_link(place, tmp_path):
             place.night()
         (place.output / link).unlink()
     assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_map_with_points_that_its_header_does_not_count_is_not_cleaned(
+    real_place, map_bytes, outcomes_of
+):
+    content = map_bytes(0)
+    fewer = content.replace(b"(150, 3)", b"(0, 3)  ")
+    assert len(fewer) == len(content)
+    (real_place.incoming / "whole.npy").write_bytes(fewer)
+    summary = real_place.night()
+    assert outcomes_of(summary) == {"whole.npy": "failed"}
+    assert summary.exit_code == 4
