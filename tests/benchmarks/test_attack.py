@@ -21,7 +21,18 @@ def test_no_attack_does_harm(tmp_path, monkeypatch, capsys):
     )
     wanted = [word for each in settings for word in ("--set", each)]
     with pytest.raises(SystemExit) as ended:
-        attack.main([str(tmp_path / "map.npy"), "--rounds", "3", "--max-points", "200", *wanted])
+        attack.main(
+            [
+                str(tmp_path / "map.npy"),
+                "--rounds",
+                "3",
+                "--seed",
+                "1",
+                "--max-points",
+                "200",
+                *wanted,
+            ]
+        )
     told = capsys.readouterr().out
     assert ended.value.code == 0, told
     assert "no harm" in told
