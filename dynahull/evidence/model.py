@@ -1,7 +1,8 @@
 """The model that weighs the evidence: two rounds of trees, in a data file beside this module.
 
 The first round judges each point by its own terms. The second knows what the first made of the
-points around. It was learnt from simulated scenes alone; `python -m benchmarks.training` makes such a file.
+points around. It was learnt from simulated scenes alone; `python -m benchmarks.training` makes such
+a file.
 """
 
 import json
