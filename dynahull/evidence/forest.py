@@ -1,9 +1,6 @@
 """A sum of decision trees, read from a plain data file and evaluated by compiled code."""
 
-import json
 from dataclasses import dataclass
-from importlib.resources.abc import Traversable
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -85,11 +82,6 @@ class Forest:
             )
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise InvalidParametersError(f"trees: expected whole ones, found {error!r}") from None
-
-    @classmethod
-    def read(cls, path: Path | Traversable) -> Self:
-        """Read a forest from a JSON file."""
-        return cls.of(json.loads(path.read_text(encoding="utf-8")))
 
     def log_odds(
         self, evidence: npt.NDArray[np.float32], threads: int = 1
