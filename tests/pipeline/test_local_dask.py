@@ -22,12 +22,10 @@ NOBODY = 65534
 STRANGER = """
 import asyncio, os, sys
 from distributed import Security
-from distributed.core import connect
+from distributed.core import Server, connect
 from distributed.comm import tcp
 stranger = Security.temporary()
 arguments = {"tcp": {}, "tls": stranger.get_connection_args("client")}
-BECOME_NOBODY
-assert os.geteuid() != 0
 
 async def talk(place, protocol):
     comm = await connect(place, timeout=3, **arguments[protocol])
@@ -41,6 +39,12 @@ async def attempt(place, protocol):
         print("refused", place, type(error).__name__)
 
 async def try_all(addresses):
+    # What is imported on first use is imported while its folder may still be read.
+    async with Server({"identity": lambda: "itself"}) as itself:
+        await itself.listen("tcp://127.0.0.1:0")
+        await talk(itself.address, "tcp")
+    BECOME_NOBODY
+    assert os.geteuid() != 0
     await asyncio.gather(*(
         attempt(address.replace("tls", protocol), protocol)
         for address in addresses for protocol in ("tcp", "tls")
