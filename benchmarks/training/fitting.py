@@ -173,21 +173,27 @@ def _fitted(
 
 
 def _nodes(nodes: NDArray[Any], names: Sequence[str]) -> list[list[Any]]:
-    """Return a tree's nodes in depth-first order: [value], or [term, limit, right, missing]."""
+    """Return a tree's nodes in depth-first order: see `dynahull.evidence.forest`.
+
+    [value] of a leaf, or [term, limit, right, missing, mean].
+    """
     found: list[list[Any]] = []
 
-    def walk(number: int) -> None:
+    def walk(number: int) -> float:
         node = nodes[number]
         if node["is_leaf"]:
             found.append([round(float(node["value"]), 5)])
-            return
+            return float(node["value"])
         place = len(found)
         found.append([])
-        walk(node["left"])
+        left, right = nodes[node["left"]], nodes[node["right"]]
+        mean = walk(node["left"]) * left["count"]
+        second = len(found)
+        mean = (mean + walk(node["right"]) * right["count"]) / node["count"]
         missing = "left" if node["missing_go_to_left"] else "right"
-        name = names[node["feature_idx"]]
-        found[place] = [name, round(float(node["num_threshold"]), 6), len(found), missing]
-        walk(node["right"])
+        limit = round(float(node["num_threshold"]), 6)
+        found[place] = [names[node["feature_idx"]], limit, second, missing, round(mean, 4)]
+        return float(mean)
 
     walk(0)
     return found

@@ -18,12 +18,19 @@ from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import TERMS, evidence
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
+from pipeline.simulation import SceneKind, SimulationParameters, simulate
 from pipeline.simulation.meshes import random_parameters, simulate_meshes
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
 
 _LARGEST = 350_000
 """Points of a map: a window of it is cut out where there are more."""
+
+_RIM = 1.6
+"""Metres: nothing is learnt so near the edge of a window, where surroundings are missing."""
+
+_BOXES_EACH = 5
+"""Every so many maps, one is of the scenes of boxes."""
 
 _FEWEST = 3_000
 _BATCH = 100_000
@@ -71,29 +78,75 @@ def _make(folder: Path, seed: int) -> list[str]:
     done = folder / f"{seed:05d}.json"
     if done.exists():
         return list(json.loads(done.read_text(encoding="utf-8")))
-    parameters = random_parameters(seed)
-    made = simulate_meshes(parameters)
     random = np.random.default_rng(seed)
-    truth = np.where(made.known, np.where(made.moved, MOVED, STATIC), UNKNOWN).astype(np.int8)
-    window = _window(made.xyz, random)
-    xyz, truth = made.xyz[window], truth[window]
-    variants = {"a": (xyz, truth), "b": _variant(xyz, truth, parameters.voxel > 0, random)}
+    made = _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
+    xyz, truth = _window(made.xyz, made.truth, random)
+    variants = {"a": (xyz, truth), "b": _variant(xyz, truth, made.downsampled, random)}
     names = []
     for letter, (points, labels) in variants.items():
         name = f"{seed:05d}{letter}"
-        if _measure(folder / name, points, labels, str(parameters.kind), str(parameters.sensor)):
+        if _measure(folder / name, points, labels, made.kind, made.sensor):
             names.append(name)
     done.write_text(json.dumps(names), encoding="utf-8")
     return names
 
 
-def _window(xyz: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.intp]:
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """A simulated map."""
+
+    xyz: NDArray[np.float64]
+    truth: NDArray[np.int8]
+    kind: str
+    sensor: str
+    downsampled: bool
+
+
+def _meshes(seed: int) -> _Made:
+    parameters = random_parameters(seed)
+    made = simulate_meshes(parameters)
+    truth = np.where(made.known, np.where(made.moved, MOVED, STATIC), UNKNOWN).astype(np.int8)
+    return _Made(
+        made.xyz, truth, str(parameters.kind), str(parameters.sensor), parameters.voxel > 0
+    )
+
+
+def _boxes(seed: int, random: np.random.Generator) -> _Made:
+    """Simulate a scene of boxes: other shapes and another sensor than those of the meshes."""
+    u = random.uniform
+    kind = SceneKind(str(random.choice([str(each) for each in SceneKind])))
+    still = random.random() < 0.15
+    made = simulate(
+        SimulationParameters(
+            scene=kind,
+            seed=seed,
+            scans=int(u(60, 200)),
+            rotations_per_scan=int(random.choice([1, 5, 15])),
+            azimuth_step=float(u(0.2, 1.0)),
+            range_noise=float(u(0.005, 0.03)),
+            drift_position=float(u(0.0, 0.03)),
+            drift_heading=float(u(0.0, 0.15)),
+            walkers=0 if still else int(u(2, 20)),
+            queuers=0 if still else int(u(0, 6)),
+            machines=0 if still else int(random.integers(0, 5)),
+        )
+    )
+    truth = np.where(made.moving, MOVED, STATIC).astype(np.int8)
+    return _Made(made.xyz.astype(np.float64), truth, f"boxes_{kind}", "boxes", False)
+
+
+def _window(
+    xyz: NDArray[np.float64], truth: NDArray[np.int8], random: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     """Return the points about one of them, in a square that holds as many as are wanted."""
     if len(xyz) <= _LARGEST:
-        return np.arange(len(xyz))
+        return xyz, truth
     centre = xyz[random.integers(len(xyz)), :2]
     away = np.abs(xyz[:, :2] - centre).max(axis=1)
-    return np.flatnonzero(away <= np.partition(away, _LARGEST)[_LARGEST])
+    half = np.partition(away, _LARGEST)[_LARGEST]
+    inside = np.flatnonzero(away <= half)
+    rim = away[inside] > max(half - _RIM, 0.7 * half)
+    return xyz[inside], np.where(rim, np.int8(UNKNOWN), truth[inside])
 
 
 def _variant(

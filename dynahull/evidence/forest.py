@@ -32,6 +32,8 @@ class Forest:
         Where a term that is NaN goes.
     value : (nodes,) float64 array
         What is no larger goes left; of a leaf, what it adds.
+    mean : (nodes,) float64 array
+        Of the leaves below a node, over the points that it was learnt from.
     """
 
     terms: tuple[str, ...]
@@ -42,6 +44,7 @@ class Forest:
     right: npt.NDArray[np.int32]
     missing_left: npt.NDArray[np.bool_]
     value: npt.NDArray[np.float64]
+    mean: npt.NDArray[np.float64]
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Self:
@@ -60,7 +63,8 @@ class Forest:
             leaf = np.array([len(node) == 1 for node in nodes])
             names = {name: number for number, name in enumerate(stored["terms"])}
             term = np.array([-1 if len(node) == 1 else names[node[0]] for node in nodes], np.int32)
-            value = np.array([node[-1] if len(node) == 1 else node[1] for node in nodes])
+            value = np.array([node[0] if len(node) == 1 else node[1] for node in nodes])
+            mean = np.array([node[0] if len(node) == 1 else node[4] for node in nodes])
             # A node's left branch comes next; where its right one comes is written down.
             right = np.array([0 if len(node) == 1 else node[2] for node in nodes]) + own
             missing = np.array([len(node) > 1 and node[3] == "left" for node in nodes])
@@ -79,6 +83,7 @@ class Forest:
                 right.astype(np.int32),
                 missing,
                 value.astype(np.float64),
+                mean.astype(np.float64),
             )
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise InvalidParametersError(f"trees: expected whole ones, found {error!r}") from None
@@ -102,6 +107,25 @@ class Forest:
             ),
             range_bounds(len(evidence), threads, _SMALLEST_RANGE),
             threads,
+        )  # fmt: skip
+        return found
+
+    def contributions(
+        self, evidence: npt.NDArray[np.float32], groups: npt.NDArray[np.int32], count: int
+    ) -> npt.NDArray[np.float32]:
+        """Return what each group of terms adds to the logarithm of the odds, (n, count).
+
+        Parameters
+        ----------
+        evidence : (n, len(terms)) float32 array
+        groups : (len(terms),) int32 array
+            The group of each term, below `count`.
+        count : int
+        """
+        found = np.zeros((len(evidence), count), np.float32)
+        _add_changes(
+            evidence, self.roots, self.term, self.left, self.right, self.missing_left,
+            self.value, self.mean, groups, found,
         )  # fmt: skip
         return found
 
@@ -130,3 +154,27 @@ def _add_up(
                 node = left[node] if goes_left else right[node]
             total += value[node]
         found[point] = total
+
+
+@compiled
+def _add_changes(
+    evidence: npt.NDArray[np.float32],
+    roots: npt.NDArray[np.int32],
+    term: npt.NDArray[np.int32],
+    left: npt.NDArray[np.int32],
+    right: npt.NDArray[np.int32],
+    missing_left: npt.NDArray[np.bool_],
+    value: npt.NDArray[np.float64],
+    mean: npt.NDArray[np.float64],
+    groups: npt.NDArray[np.int32],
+    found: npt.NDArray[np.float32],
+) -> None:
+    for point in range(len(evidence)):
+        for root in roots:
+            node = root
+            while term[node] >= 0:
+                known = evidence[point, term[node]]
+                goes_left = missing_left[node] if np.isnan(known) else known <= value[node]
+                child = left[node] if goes_left else right[node]
+                found[point, groups[term[node]]] += mean[child] - mean[node]
+                node = child

@@ -19,6 +19,7 @@ from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Floats, Voxels
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.reasons import reasons
 from dynahull.evidence.summaries import (
     ScoredPoints,
     summarise_ground,
@@ -70,10 +71,13 @@ class FirstRound:
     log_odds : (n,) float32 array
     kept : (n, len(KEPT_TERMS)) float32 array
         What the second round looks at again.
+    reason : (n,) uint8 array
+        Which of `reasons.REASONS` speaks most for a ghost.
     """
 
     log_odds: npt.NDArray[np.float32]
     kept: Terms
+    reason: npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +127,14 @@ class EvidenceModel:
 
         def judge(begin: int, end: int) -> FirstRound:
             terms = evidence(points.part(slice(begin, end)), k, surroundings)
-            return FirstRound(self.first.log_odds(terms), terms[:, _KEPT])
+            log_odds = self.first.log_odds(terms)
+            return FirstRound(log_odds, terms[:, _KEPT], reasons(self.first, terms, log_odds))
 
         parts = over_ranges(judge, _bounds(len(points)), threads)
         return FirstRound(
             np.concatenate([part.log_odds for part in parts]),
             np.concatenate([part.kept for part in parts]),
+            np.concatenate([part.reason for part in parts]),
         )
 
     def second_round(

@@ -26,6 +26,7 @@ from pipeline.tiles.work import TaskReport
 
 _UNSCORED, _SCORED, _ODDS = "unscored", "scored", "odds"
 _POINTS = ("own_xyz", "own_height")
+_FIRST = ("log_odds", "kept", "reason")
 
 
 def unscored_voxels(xyz: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
@@ -51,7 +52,7 @@ def weigh_tile(job: Job, tile: int) -> TaskReport:
     k = job.configuration.neighbours.k
     found = evidence_model().first_round(points, k, Surroundings.of(voxels))
     odds = summarise_odds(xyz, found.log_odds)
-    kept = {"log_odds": found.log_odds, "kept": found.kept} | _arrays(_ODDS, odds)
+    kept = {name: getattr(found, name) for name in _FIRST} | _arrays(_ODDS, odds)
     job.work.save("evidence", tile, **kept)
     return TaskReport(int(job.store.layout.counts[tile]))
 
@@ -60,7 +61,7 @@ def scores_of(job: Job, tile: int) -> NDArray[np.float32]:
     """Return the probability that each scored point of a tile's core moved; all are weighed."""
     xyz, _ = job.work.load("ground", tile, *_POINTS)
     (density,) = job.work.load("density", tile, "density")
-    found = FirstRound(*job.work.load("evidence", tile, "log_odds", "kept"))
+    found = FirstRound(*job.work.load("evidence", tile, *_FIRST))
     odds = _around(job, tile, {"evidence": _ODDS})
     return final_scores(evidence_model(), xyz, density, found, odds)
 

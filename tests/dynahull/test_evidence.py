@@ -13,6 +13,7 @@ from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Voxels, cells_of
 from dynahull.evidence.model import EvidenceModel, evidence_model
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.reasons import REASONS, _reason_of
 from dynahull.evidence.shapes import moments_of, shapes_of
 from dynahull.evidence.summaries import (
     FINEST,
@@ -164,7 +165,7 @@ STORED = {
     "terms": ["a", "b"],
     "baseline": -1.0,
     "trees": [
-        [["a", 0.5, 2, "left"], [1.0], ["b", -2.0, 4, "right"], [2.0], [4.0]],
+        [["a", 0.5, 2, "left", 2.0], [1.0], ["b", -2.0, 4, "right", 3.0], [2.0], [4.0]],
         [[0.25]],
     ],
 }
@@ -185,13 +186,33 @@ def test_a_forest_adds_up_its_leaves(terms, expected):
     assert found.tolist() == [expected]
 
 
+def test_contributions_are_what_each_question_changes():
+    found = Forest.of(STORED).contributions(
+        np.array([[1.0, 0.0]], np.float32), np.array([0, 1], np.int32), 2
+    )
+    assert found.tolist() == [[1.0, 1.0]]  # 2 to 3 by the first term, 3 to 4 by the second
+
+
+def test_contributions_and_baseline_add_up_to_the_odds():
+    forest = evidence_model().first
+    terms = np.random.default_rng(0).normal(size=(50, len(TERMS))).astype(np.float32)
+    groups = np.zeros(len(TERMS), np.int32)
+    expected = forest.baseline + forest.mean[forest.roots].sum()
+    shares = forest.contributions(terms, groups, 1)[:, 0]
+    assert np.allclose(expected + shares, forest.log_odds(terms), atol=1e-3)
+
+
+def test_every_term_has_its_reason():
+    assert len({_reason_of(term) for term in TERMS}) == len(REASONS)
+
+
 @pytest.mark.parametrize(
     "trees",
     [
-        [[["a", 0.5, 9, "left"], [1.0], [2.0]]],
-        [[["a", 0.5, 0, "left"], [1.0], [2.0]]],
-        [[["c", 0.5, 2, "left"], [1.0], [2.0]]],
-        [[["a", 0.5, 2, "left"], [1.0]]],
+        [[["a", 0.5, 9, "left", 1.5], [1.0], [2.0]]],
+        [[["a", 0.5, 0, "left", 1.5], [1.0], [2.0]]],
+        [[["c", 0.5, 2, "left", 1.5], [1.0], [2.0]]],
+        [[["a", 0.5, 2, "left", 1.5], [1.0]]],
         "trees",
     ],
 )

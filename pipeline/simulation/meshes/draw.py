@@ -39,18 +39,19 @@ def random_parameters(
     vehicle = outdoors and random.random() < 0.5
     few = random.random()
     crowd = 100 if kind is MeshSceneKind.LOBBY else 25
-    people = 0 if few < 0.1 else int(u(1, 6)) if few < 0.5 else int(u(4, crowd))
+    people = 0 if few < 0.1 else int(u(1, 6)) if few < 0.3 else int(u(4, crowd))
     still = few < 0.08  # nothing moves at all
     keyed = random.random() < 0.5
-    scans = int(np.exp(u(np.log(60), np.log(500))))
-    total = np.exp(u(np.log(4e5), np.log(3e6)))
+    good = random.random() < 0.5  # a map as one hopes for: whole scans, small drift, no filter
+    scans = int(np.exp(u(np.log(60), np.log(300 if good else 500))))
+    total = np.exp(u(np.log(2e6), np.log(4e6)) if good else u(np.log(4e5), np.log(3e6)))
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     return MeshParameters(
         kind=kind,
         sensor=sensor,
         seed=seed,
         scans=scans,
-        rays=int(np.clip(total / scans, 2_500, 28_000)),
+        rays=int(np.clip(total / scans, 2_500, 60_000 if good else 28_000)),
         interval=float(random.choice([0.1, 0.2, 0.5, 1.0])) if not keyed else 0.1,
         key_distance=float(u(0.2, 1.0)) * (3.0 if vehicle else 1.0) if keyed else 0.0,
         rate=float(random.choice([5.0, 10.0, 10.0, 20.0])),
@@ -76,12 +77,12 @@ def random_parameters(
         glass=float(u(0, 1)),
         mirrors=float(u(0, 0.6)),
         clutter=float(u(0.3, 2)),
-        drift_position=float(np.exp(u(np.log(0.003), np.log(0.06)))),
-        drift_angle=float(u(0.0, 0.3)),
+        drift_position=float(np.exp(u(np.log(0.003), np.log(0.02 if good else 0.06)))),
+        drift_angle=float(u(0.0, 0.1 if good else 0.3)),
         jitter_position=float(u(0.0, 0.01)),
-        jitter_angle=float(u(0.0, 0.12)),
-        loop_gap=float(u(0.03, 0.15)) if random.random() < 0.25 else 0.0,
-        scan_voxel=float(u(0.05, 0.2)) if random.random() < 0.2 else 0.0,
-        voxel=voxel if random.random() < 0.3 else 0.0,
-        keep=float(u(0.2, 1.0)) if random.random() < 0.3 else 1.0,
+        jitter_angle=float(u(0.0, 0.05 if good else 0.12)),
+        loop_gap=float(u(0.03, 0.15)) if random.random() < 0.2 else 0.0,
+        scan_voxel=float(u(0.05, 0.2)) if not good and random.random() < 0.3 else 0.0,
+        voxel=voxel if not good and random.random() < 0.5 else 0.0,
+        keep=float(u(0.2, 1.0)) if not good and random.random() < 0.4 else 1.0,
     )
