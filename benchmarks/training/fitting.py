@@ -1,9 +1,7 @@
-"""Two rounds of boosted trees.
-
-The second learns from what a first round made of a map that it had not seen.
-"""
+"""Two rounds of boosted trees; the second learns from what a first round made of unseen kinds."""
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +12,29 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.model import KEPT_TERMS, SECOND_TERMS, EvidenceModel
+from dynahull.evidence.model import FIRST_ODDS, KEPT_TERMS, SECOND_TERMS
 from dynahull.evidence.pooling import pooled_terms
 from dynahull.evidence.summaries import summarise_odds
-from dynahull.evidence.terms import TERMS
+from dynahull.evidence.terms import FALLING, RISING, TERMS
 
 _KEPT = np.array([TERMS.index(name) for name in KEPT_TERMS])
 _BATCH = 100_000
+
+FOLDS = (
+    ("office", "corridor"),
+    ("lobby", "room"),
+    ("warehouse", "garage"),
+    ("street", "park", "boxes_street"),
+    ("stairs", "boxes_indoor", "boxes_storeys", "boxes_ramp"),
+)
+"""Kinds of scenes that are left out together: those that are most alike."""
+
+Stored = dict[str, Any]
+
+
+def fold_of(each: TrainingMap) -> int:
+    """Return the fold that a map is left out with."""
+    return next(number for number, kinds in enumerate(FOLDS) if each.kind in kinds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +48,7 @@ class FitOptions:
     first_trees, second_trees, first_leaves, second_leaves : int
     """
 
-    points: int = 6_000
+    points: int = 4_000
     first_trees: int = 120
     first_leaves: int = 24
     second_trees: int = 60
@@ -62,55 +76,106 @@ class Sample:
         return cls(np.concatenate(rows)[order], (weight * points / max(weight.sum(), 1))[order])
 
 
-def fit(
-    maps: Sequence[TrainingMap], options: FitOptions, without: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Fit both rounds, and return what the model's data file holds.
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What is learnt from: terms of sampled points, whether each moved, and its weight."""
 
-    Parameters
+    terms: NDArray[np.float32]
+    moved: NDArray[np.bool_]
+    weights: NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, parts: Sequence["Lesson"]) -> "Lesson":
+        """Put those of several maps together."""
+        return cls(
+            np.concatenate([part.terms for part in parts]),
+            np.concatenate([part.moved for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """Maps, and what a first round that has not seen their kind makes of them.
+
+    Attributes
     ----------
     maps : sequence of TrainingMap
-    options : FitOptions
-    without : sequence of str
-        Terms that are kept from the model, for an ablation.
+    first : list of dict
+        A first round for each fold, fitted without it.
+    lessons : list of Lesson
+        For the first round, a map each.
+    second : list of Lesson
+        For the second round.
+    odds : list of (n,) float32 arrays
+        What the first round that has not seen its kind makes of each map.
     """
-    random = np.random.default_rng(0)
-    samples = [Sample.of(each.truth, options.points, random) for each in maps]
-    seeds = sorted({each.name[:-1] for each in maps})
-    halves = [set(seeds[::2]), set(seeds[1::2])]
-    odds: list[NDArray[np.float32]] = [np.zeros(0, np.float32)] * len(maps)
-    for half in halves:
-        chosen = [number for number, each in enumerate(maps) if each.name[:-1] in half]
-        other = Forest.of(_first(maps, samples, chosen, options, without))
-        for number in set(range(len(maps))) - set(chosen):
-            odds[number] = first_odds(other, maps[number])
-    second = [
-        second_terms(each, found)[sample.rows]
-        for each, found, sample in zip(maps, odds, samples, strict=True)
+
+    maps: Sequence[TrainingMap]
+    first: list[Stored]
+    lessons: list[Lesson]
+    second: list[Lesson]
+    odds: list[NDArray[np.float32]]
+
+
+def train(maps: Sequence[TrainingMap], options: FitOptions, workers: int) -> Training:
+    """Fit a first round without each fold, and let it judge that fold."""
+    samples = [
+        Sample.of(each.truth, options.points, np.random.default_rng(number))
+        for number, each in enumerate(maps)
     ]
-    return {
-        "first": _first(maps, samples, range(len(maps)), options, without),
-        "second": _fitted(
-            _blanked(np.concatenate(second), SECOND_TERMS, without),
-            np.concatenate([m.truth[s.rows] == MOVED for m, s in zip(maps, samples, strict=True)]),
-            np.concatenate([sample.weights for sample in samples]),
-            SECOND_TERMS,
-            options.second_trees,
-            options.second_leaves,
-        ),
-    }
+    lessons = [
+        Lesson(each.terms[sample.rows], each.truth[sample.rows] == MOVED, sample.weights)
+        for each, sample in zip(maps, samples, strict=True)
+    ]
+    tasks = [(maps, samples, lessons, fold, options) for fold in range(len(FOLDS))]
+    with ProcessPoolExecutor(workers) as pool:
+        done = list(pool.map(_one_fold, tasks))
+    judged = {number: found for _, of_fold in done for number, found in of_fold.items()}
+    numbers = range(len(maps))
+    return Training(
+        maps,
+        [stored for stored, _ in done],
+        lessons,
+        [judged[number][0] for number in numbers],
+        [judged[number][1] for number in numbers],
+    )
 
 
-def judged(model: EvidenceModel, each: TrainingMap) -> NDArray[np.float32]:
-    """Return the logarithms of odds that a model gives the points of a map."""
-    return model.second.log_odds(second_terms(each, first_odds(model.first, each)), threads=2)
+def _one_fold(
+    task: tuple[Sequence[TrainingMap], list[Sample], list[Lesson], int, FitOptions],
+) -> tuple[Stored, dict[int, tuple[Lesson, NDArray[np.float32]]]]:
+    maps, samples, lessons, fold, options = task
+    others = [lessons[n] for n, each in enumerate(maps) if fold_of(each) != fold]
+    stored = fit_first(others or lessons, options)
+    forest = Forest.of(stored)
+    found = {}
+    for number, each in enumerate(maps):
+        if fold_of(each) == fold:
+            rows, lesson = samples[number].rows, lessons[number]
+            odds = first_odds(forest, each)
+            terms = second_terms(each, odds)[rows]
+            found[number] = Lesson(terms, lesson.moved, lesson.weights), odds
+    return stored, found
+
+
+def fit_first(lessons: Sequence[Lesson], options: FitOptions) -> Stored:
+    """Fit a first round, and return what the data file holds of it."""
+    joined = Lesson.joined(lessons)
+    return _fitted(joined, TERMS, options.first_trees, options.first_leaves)
+
+
+def fit_second(lessons: Sequence[Lesson], options: FitOptions) -> Stored:
+    """Fit a second round, and return what the data file holds of it."""
+    joined = Lesson.joined(lessons)
+    return _fitted(joined, SECOND_TERMS, options.second_trees, options.second_leaves)
 
 
 def first_odds(forest: Forest, each: TrainingMap) -> NDArray[np.float32]:
     """Return what a first round makes of a map."""
     begins = range(0, len(each.terms), _BATCH)
     parts = [np.ascontiguousarray(each.terms[begin : begin + _BATCH]) for begin in begins]
-    return np.concatenate([forest.log_odds(part, threads=2) for part in parts])
+    return np.concatenate([forest.log_odds(part) for part in parts])
 
 
 def second_terms(each: TrainingMap, odds: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -119,51 +184,20 @@ def second_terms(each: TrainingMap, odds: NDArray[np.float32]) -> NDArray[np.flo
     return np.column_stack([odds, pooled, each.terms[:, _KEPT]])
 
 
-def _first(
-    maps: Sequence[TrainingMap],
-    samples: Sequence[Sample],
-    chosen: Sequence[int],
-    options: FitOptions,
-    without: Sequence[str],
-) -> dict[str, Any]:
-    return _fitted(
-        _blanked(np.concatenate([maps[n].terms[samples[n].rows] for n in chosen]), TERMS, without),
-        np.concatenate([maps[n].truth[samples[n].rows] == MOVED for n in chosen]),
-        np.concatenate([samples[n].weights for n in chosen]),
-        TERMS,
-        options.first_trees,
-        options.first_leaves,
-    )
-
-
-def _blanked(
-    terms: NDArray[np.float32], names: Sequence[str], without: Sequence[str]
-) -> NDArray[np.float32]:
-    for name in without:
-        if name in names:
-            terms[:, names.index(name)] = 0.0
-    return terms
-
-
-def _fitted(
-    terms: NDArray[np.float32],
-    moved: NDArray[np.bool_],
-    weights: NDArray[np.float64],
-    names: Sequence[str],
-    trees: int,
-    leaves: int,
-) -> dict[str, Any]:
+def _fitted(lesson: Lesson, names: Sequence[str], trees: int, leaves: int) -> Stored:
+    rising = (*RISING, FIRST_ODDS)
     model = HistGradientBoostingClassifier(
         max_iter=trees,
         max_leaf_nodes=leaves,
         learning_rate=0.1,
-        min_samples_leaf=60,
+        min_samples_leaf=100,
         l2_regularization=1.0,
         early_stopping=False,
+        monotonic_cst=[1 if n in rising else -1 if n in FALLING else 0 for n in names],
         random_state=0,
     )
     with threadpool_limits(1):  # threads that wait for each other take more time than they save
-        model.fit(terms, moved, sample_weight=weights)
+        model.fit(lesson.terms, lesson.moved, sample_weight=lesson.weights)
     # scikit-learn has no public way to read its trees; the tests compare ours with its own odds.
     return {
         "terms": list(names),

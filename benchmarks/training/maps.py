@@ -29,6 +29,8 @@ _LARGEST = 350_000
 _RIM = 1.6
 """Metres: nothing is learnt so near the edge of a window, where surroundings are missing."""
 
+_TRIES, _SEEK_MOVED, _MOST_MOVED = 5, 0.6, 0.3
+
 _BOXES_EACH = 5
 """Every so many maps, one is of the scenes of boxes."""
 
@@ -138,13 +140,22 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
 def _window(
     xyz: NDArray[np.float64], truth: NDArray[np.int8], random: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Return the points about one of them, in a square that holds as many as are wanted."""
+    """Return the points about one of them, in a square that holds as many as are wanted.
+
+    The one has moved more often than not, as most windows would hold nothing that did. Where most
+    of a window moved, another is tried.
+    """
     if len(xyz) <= _LARGEST:
         return xyz, truth
-    centre = xyz[random.integers(len(xyz)), :2]
-    away = np.abs(xyz[:, :2] - centre).max(axis=1)
-    half = np.partition(away, _LARGEST)[_LARGEST]
-    inside = np.flatnonzero(away <= half)
+    for _ in range(_TRIES):
+        seek = random.random() < _SEEK_MOVED
+        among = np.flatnonzero(truth == MOVED) if seek else np.zeros(0, np.intp)
+        centre = xyz[random.choice(among) if len(among) else random.integers(len(xyz)), :2]
+        away = np.abs(xyz[:, :2] - centre).max(axis=1)
+        half = np.partition(away, _LARGEST)[_LARGEST]
+        inside = np.flatnonzero(away <= half)
+        if np.mean(truth[inside] == MOVED) < _MOST_MOVED:
+            break
     rim = away[inside] > max(half - _RIM, 0.7 * half)
     return xyz[inside], np.where(rim, np.int8(UNKNOWN), truth[inside])
 

@@ -7,10 +7,13 @@ from dynahull.compilation import compiled, inlined
 from dynahull.evidence.lattice import Cells, Floats, Integers, find_cell
 from dynahull.evidence.surroundings import Surroundings
 
-FLOOR_TERMS = ("height", "over", "under", "ground_seen", "ground_near")
-"""Height above the floor; voxels of 0.4 m that are occupied above the reach of people, in nine
-columns, and below it, in the point's own; ground points beneath against those around; ground points
-in an area of the neighbourhood's own size."""
+FLOOR_TERMS = ("height", "aloft", "over", "under", "ground_seen", "ground_near")
+"""Height above the floor, up to the reach of people, and above that reach; voxels of 0.4 m that are
+occupied above it, in nine columns, and below it, in the point's own; ground points beneath against
+those around; ground points in an area of the neighbourhood's own size."""
+
+PEOPLE = 2.0
+"""Metres: what is higher is seldom part of a person."""
 
 
 def floor_terms(
@@ -69,11 +72,12 @@ def _floor_terms(
                 under += 1
         beneath = _ground_about(_cell(x, 0.2), _cell(y, 0.2), _cell(floor, 0.2), small)
         about = _ground_about(_cell(x, 0.8), _cell(y, 0.8), _cell(floor, 0.8), large)
-        terms[p, 0] = height[p]
-        terms[p, 1] = over
-        terms[p, 2] = under
-        terms[p, 3] = np.log2((beneath + 0.5) / (about / 16.0 + 0.5))
-        terms[p, 4] = np.log2(about / 5.76 + 0.1) + 2.0 * scale[p]
+        terms[p, 0] = min(height[p], PEOPLE)
+        terms[p, 1] = max(height[p] - PEOPLE, 0.0)
+        terms[p, 2] = over
+        terms[p, 3] = under
+        terms[p, 4] = np.log2((beneath + 0.5) / (about / 16.0 + 0.5))
+        terms[p, 5] = np.log2(about / 5.76 + 0.1) + 2.0 * scale[p]
 
 
 @inlined

@@ -37,6 +37,7 @@ KEPT_TERMS = (
     "thickness",
     "scale",
     "height",
+    "aloft",
     "over",
     "under",
     "ground_seen",

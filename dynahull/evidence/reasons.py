@@ -15,7 +15,7 @@ REASONS: dict[str, tuple[str, ...]] = {
                                     "thickness_4.8", "thickness_least"),
     "sparser than what is around": ("density", "density_most", "scale"),
     "seldom met by rays": ("returns", "spread", "growth"),
-    "stands free on the floor, at the height of people": ("height", "over", "under"),
+    "stands free on the floor, at the height of people": ("height", "aloft", "over", "under"),
     "the floor beneath was seen through it": ("ground_seen", "ground_near"),
     "nothing close above or below": ("run", "gap", "filled"),
 }  # fmt: skip

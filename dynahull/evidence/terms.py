@@ -50,6 +50,12 @@ def _level_names() -> tuple[str, ...]:
 TERMS = (*NEIGHBOURHOOD_TERMS, *FLOOR_TERMS, *_level_names())
 """All terms, in the order of their columns."""
 
+RISING = ("thickness", "flatness", *(name for name in TERMS if name.startswith("box_flat")))
+"""Terms that never speak against a ghost as they grow: what is less flat."""
+
+FALLING = ("aloft", *(name for name in TERMS if name.startswith("density_")))
+"""Terms that never speak for a ghost as they grow: what is denser, or higher above people."""
+
 
 def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
     """Return the terms of each point.

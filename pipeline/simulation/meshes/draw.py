@@ -45,6 +45,8 @@ def random_parameters(
     good = random.random() < 0.5  # a map as one hopes for: whole scans, small drift, no filter
     scans = int(np.exp(u(np.log(60), np.log(300 if good else 500))))
     total = np.exp(u(np.log(2e6), np.log(4e6)) if good else u(np.log(4e5), np.log(3e6)))
+    if mode is DriveMode.STAND:  # sees the same walls again and again
+        total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     return MeshParameters(
         kind=kind,
