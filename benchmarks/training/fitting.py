@@ -1,7 +1,7 @@
 """Two rounds of boosted trees; the second learns from what a first round made of unseen kinds."""
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,7 +48,7 @@ class FitOptions:
     first_trees, second_trees, first_leaves, second_leaves : int
     """
 
-    points: int = 4_000
+    points: int = 3_000
     first_trees: int = 120
     first_leaves: int = 24
     second_trees: int = 60
@@ -129,13 +129,13 @@ def train(maps: Sequence[TrainingMap], options: FitOptions, workers: int) -> Tra
         for each, sample in zip(maps, samples, strict=True)
     ]
     tasks = [(maps, samples, lessons, fold, options) for fold in range(len(FOLDS))]
-    with ProcessPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         done = list(pool.map(_one_fold, tasks))
     judged = {number: found for _, of_fold in done for number, found in of_fold.items()}
     numbers = range(len(maps))
     return Training(
         maps,
-        [stored for stored, _ in done],
+        [first for first, _ in done],
         lessons,
         [judged[number][0] for number in numbers],
         [judged[number][1] for number in numbers],
@@ -147,8 +147,8 @@ def _one_fold(
 ) -> tuple[Stored, dict[int, tuple[Lesson, NDArray[np.float32]]]]:
     maps, samples, lessons, fold, options = task
     others = [lessons[n] for n, each in enumerate(maps) if fold_of(each) != fold]
-    stored = fit_first(others or lessons, options)
-    forest = Forest.of(stored)
+    first = fit_first(others or lessons, options)
+    forest = Forest.of(first)
     found = {}
     for number, each in enumerate(maps):
         if fold_of(each) == fold:
@@ -156,19 +156,20 @@ def _one_fold(
             odds = first_odds(forest, each)
             terms = second_terms(each, odds)[rows]
             found[number] = Lesson(terms, lesson.moved, lesson.weights), odds
-    return stored, found
+    return first, found
 
 
 def fit_first(lessons: Sequence[Lesson], options: FitOptions) -> Stored:
     """Fit a first round, and return what the data file holds of it."""
     joined = Lesson.joined(lessons)
-    return _fitted(joined, TERMS, options.first_trees, options.first_leaves)
+    return stored(boosted(joined, TERMS, options.first_trees, options.first_leaves), TERMS)
 
 
 def fit_second(lessons: Sequence[Lesson], options: FitOptions) -> Stored:
     """Fit a second round, and return what the data file holds of it."""
     joined = Lesson.joined(lessons)
-    return _fitted(joined, SECOND_TERMS, options.second_trees, options.second_leaves)
+    model = boosted(joined, SECOND_TERMS, options.second_trees, options.second_leaves)
+    return stored(model, SECOND_TERMS)
 
 
 def first_odds(forest: Forest, each: TrainingMap) -> NDArray[np.float32]:
@@ -184,7 +185,10 @@ def second_terms(each: TrainingMap, odds: NDArray[np.float32]) -> NDArray[np.flo
     return np.column_stack([odds, pooled, each.terms[:, _KEPT]])
 
 
-def _fitted(lesson: Lesson, names: Sequence[str], trees: int, leaves: int) -> Stored:
+def boosted(
+    lesson: Lesson, names: Sequence[str], trees: int, leaves: int
+) -> HistGradientBoostingClassifier:
+    """Fit trees that keep to what physics says of single terms."""
     rising = (*RISING, FIRST_ODDS)
     model = HistGradientBoostingClassifier(
         max_iter=trees,
@@ -198,7 +202,11 @@ def _fitted(lesson: Lesson, names: Sequence[str], trees: int, leaves: int) -> St
     )
     with threadpool_limits(1):  # threads that wait for each other take more time than they save
         model.fit(lesson.terms, lesson.moved, sample_weight=lesson.weights)
-    # scikit-learn has no public way to read its trees; the tests compare ours with its own odds.
+    return model
+
+
+def stored(model: HistGradientBoostingClassifier, names: Sequence[str]) -> Stored:
+    """Return what the data file holds: scikit-learn has no public way to read its trees."""
     return {
         "terms": list(names),
         "baseline": round(float(model._baseline_prediction.ravel()[0]), 6),
@@ -225,7 +233,7 @@ def _nodes(nodes: NDArray[Any], names: Sequence[str]) -> list[list[Any]]:
         second = len(found)
         mean = (mean + walk(node["right"]) * right["count"]) / node["count"]
         missing = "left" if node["missing_go_to_left"] else "right"
-        limit = round(float(node["num_threshold"]), 6)
+        limit = float(f"{node['num_threshold']:.9g}")  # tells any two float32 numbers apart
         found[place] = [names[node["feature_idx"]], limit, second, missing, round(mean, 4)]
         return float(mean)
 

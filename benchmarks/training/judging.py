@@ -1,7 +1,7 @@
 """What a model is worth on kinds of scenes that it has not seen, and what each term earns there."""
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -95,7 +95,7 @@ class Judged:
 def judge(training: Training, options: FitOptions, workers: int) -> list[Judged]:
     """Fit a second round without each fold, and judge that fold's maps."""
     tasks = [(training, fold, options) for fold in range(len(FOLDS))]
-    with ProcessPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         return [each for found in pool.map(_judge_fold, tasks) for each in found]
 
 

@@ -1,0 +1,101 @@
+"""The trees that are written are those that were learnt, and figures are counted right."""
+
+import numpy as np
+import pytest
+
+from benchmarks.training.fitting import (
+    FOLDS,
+    FitOptions,
+    Lesson,
+    Sample,
+    boosted,
+    fit_second,
+    fold_of,
+    stored,
+    train,
+)
+from benchmarks.training.judging import Judged, ablation, figures, judge, reliability
+from benchmarks.training.maps import MOVED, STATIC, UNKNOWN, TrainingMap
+from dynahull.evidence.forest import Forest
+from dynahull.evidence.model import EvidenceModel
+from dynahull.evidence.terms import FALLING, RISING, TERMS
+
+DENSITY = TERMS.index("density_1.2")
+SMALL = FitOptions(points=600, first_trees=10, first_leaves=6, second_trees=8, second_leaves=5)
+
+
+def a_map(number, kind, count=2_000):
+    """A map in which what is less dense than its surroundings moved, mostly."""
+    random = np.random.default_rng(number)
+    terms = random.normal(size=(count, len(TERMS))).astype(np.float32)
+    terms[random.random(terms.shape) < 0.05] = np.nan
+    likely = np.nan_to_num(-terms[:, DENSITY]) + 0.3 * random.normal(size=count) > 1
+    truth = np.where(likely, MOVED, STATIC).astype(np.int8)
+    xyz = random.uniform(size=(count, 3)) * [20, 20, 2]
+    return TrainingMap(f"{number:05d}a", kind, "vlp16", xyz, truth, terms, 500, 3)
+
+
+def lesson(count=4_000):
+    each = a_map(0, "office", count)
+    return Lesson(each.terms, each.truth == MOVED, np.ones(count))
+
+
+def test_the_stored_trees_give_the_odds_of_those_that_were_learnt():
+    learnt = lesson()
+    model = boosted(learnt, TERMS, 20, 12)
+    found = Forest.of(stored(model, TERMS)).log_odds(learnt.terms)
+    assert np.allclose(found, model.decision_function(learnt.terms), atol=1e-3)
+
+
+@pytest.mark.parametrize(("names", "sign"), [(RISING, 1), (FALLING, -1)])
+def test_what_physics_says_of_a_term_holds(names, sign):
+    forest = Forest.of(stored(boosted(lesson(), TERMS, 20, 12), TERMS))
+    terms = lesson(500).terms
+    for name in names:
+        low, high = terms.copy(), terms.copy()
+        low[:, TERMS.index(name)], high[:, TERMS.index(name)] = -1.5, 1.5
+        change = forest.log_odds(high) - forest.log_odds(low)
+        assert (sign * change >= -1e-5).all()
+
+
+def test_a_sample_gives_each_map_its_own_shares():
+    truth = np.repeat(np.array([UNKNOWN, STATIC, MOVED], np.int8), [50, 900, 50])
+    sample = Sample.of(truth, 90, np.random.default_rng(0))
+    moved = truth[sample.rows] == MOVED
+    assert moved.sum() == 30 and (truth[sample.rows] != UNKNOWN).all()
+    assert sample.weights.sum() == pytest.approx(90)
+    assert sample.weights[moved].sum() / 90 == pytest.approx(50 / 950)
+
+
+def test_every_kind_of_scene_is_left_out_once():
+    kinds = [kind for kinds in FOLDS for kind in kinds]
+    assert len(kinds) == len(set(kinds))
+    assert [fold_of(a_map(0, kind, 10)) for kind in ("office", "boxes_ramp")] == [0, 4]
+
+
+def test_training_finds_what_moved_on_kinds_left_out():
+    maps = [a_map(number, kinds[0]) for number, kinds in enumerate(FOLDS)]
+    training = train(maps, SMALL, workers=1)
+    judged = judge(training, SMALL, workers=1)
+    assert [each.name for each in judged] == [each.name for each in maps]
+    assert min(each.f1(0.5) for each in judged) > 60
+    assert len(list(figures(judged, 0.5))) == 2 + len(FOLDS)
+    earned = list(ablation(training))
+    assert earned[1].startswith("density_1.2")
+    EvidenceModel.of(
+        {"first": training.first[0], "second": fit_second(training.second, SMALL)}
+    )  # what is written is what the package reads
+
+
+def test_figures_are_counted_over_all_points():
+    truth = np.repeat(np.array([STATIC, MOVED, UNKNOWN], np.int8), [80, 20, 7])
+    each = a_map(0, "office", 107)
+    odds = np.full(107, -3.0, np.float32)
+    odds[76:95] = 3.0  # 4 static, 15 moved
+    made = TrainingMap(each.name, "office", "os64", each.xyz, truth, each.terms, 20, 5)
+    judged = Judged.of(made, odds)
+    assert judged.f1(0.5) == pytest.approx(200 * 15 / (19 + 25))
+    assert judged.lost(0.5) == pytest.approx(4.0)
+    assert judged.accuracy(0.5) == pytest.approx(100 * np.sqrt(0.6 * 0.96))
+    assert judged.share == pytest.approx(25 / 125)
+    assert reliability([judged])[-1] == pytest.approx((0.9525, 15 / 19, 19), abs=0.003)
