@@ -10,6 +10,7 @@ from benchmarks.compare.peers import (
     octomap,
     open3d_outliers,
     pdal_outliers,
+    voxel_counts,
 )
 
 __all__ = ["all_methods"]
@@ -19,6 +20,7 @@ _PEERS = (
     open3d_outliers,
     dbscan,
     pdal_outliers,
+    voxel_counts,
     dufomap,
     dynamic_object_removal,
     octomap,

@@ -9,6 +9,8 @@ from benchmarks.compare.data.recorded import (
     first_half_of_street,
     room_scene,
     second_half_of_street,
+    semantickitti_scene,
+    standing_street_scene,
     street_scene,
 )
 from benchmarks.compare.data.simulated import simulated_scene
@@ -22,7 +24,12 @@ RECORDED = {
     "street-64": street_scene,
     "street-64-first-half": first_half_of_street,
     "street-64-second-half": second_half_of_street,
+    "street-64-standing": standing_street_scene,
     "room": room_scene,
+    **{
+        f"semantickitti-{sequence}": partial(semantickitti_scene, sequence)
+        for sequence in ("00", "02", "04", "06", "08", "10")
+    },
 }
 SCENES = ("crossing", *(f"{_SIMULATED}{kind.value}" for kind in SceneKind), *RECORDED)
 """Names that the command line takes."""

@@ -35,11 +35,27 @@ def second_half_of_street(maps: Path) -> Scene:
     return _street(maps, "recorded street, second half", range(_STREET_MIDDLE, _STREET_SCANS))
 
 
+def standing_street_scene(maps: Path) -> Scene:
+    """Read 78 scans of a 64-ring sensor that stands in a street, in part labelled."""
+    return _labelled(maps / "street_static_sensor.laz", "standing street")
+
+
+def semantickitti_scene(sequence: str, maps: Path) -> Scene:
+    """Read the first ten scans of a sequence of SemanticKITTI."""
+    return _labelled(maps / f"semantickitti_{sequence}.laz", f"SemanticKITTI {sequence}")
+
+
 def _street(maps: Path, name: str, scans: range) -> Scene:
-    path = maps / "street_64beam_labelled.laz"
+    return _labelled(maps / "street_64beam_labelled.laz", name, scans)
+
+
+def _labelled(path: Path, name: str, scans: range | None = None) -> Scene:
+    """Read scans of a 64-ring sensor, labelled in `user_data`, with their poses beside them."""
     points = laspy.read(path)
+    poses = np.loadtxt(path.with_suffix(".poses.txt")).reshape(-1, 3, 4)
+    scans = range(len(poses)) if scans is None else scans
     points = points[np.isin(points.point_source_id, scans)]
-    poses = np.loadtxt(path.with_suffix(".poses.txt")).reshape(-1, 3, 4)[scans]
+    poses = poses[scans.start : scans.stop]
     xyz = _coordinates(points)
     labels = np.full(len(xyz), Truth.UNKNOWN, dtype=np.int8)
     for value, truth in _STREET_LABELS.items():
