@@ -20,7 +20,7 @@ from pipeline.simulation import SceneKind
 __all__ = ["SCENES", "scene_makers"]
 
 _SIMULATED = "simulated-"
-RECORDED = {
+RECORDED: dict[str, Callable[[Path], Scene]] = {
     "street-64": street_scene,
     "street-64-first-half": first_half_of_street,
     "street-64-second-half": second_half_of_street,
