@@ -16,6 +16,7 @@ from pipeline.configuration import Configuration
 from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.machine import available_cores
 from pipeline.outputs import OutputNames
+from pipeline.places import DecisionSums
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.report_page.sample import MapSample
@@ -55,6 +56,11 @@ def clean_in_memory(
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
+    decision = None
+    if configuration.removal.weighs_evidence:
+        decision = DecisionSums.of(
+            decoded.points, result.score, result.reason, configuration.removal.confidence
+        ).decision()
     views = None
     if configuration.output.report == "html":
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
@@ -80,5 +86,6 @@ def clean_in_memory(
         result.score,
         result.counts(),
         result.clusters,
+        decision,
         views,
     )

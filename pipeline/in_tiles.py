@@ -14,6 +14,7 @@ from pipeline.tiles.ahead import begun
 from pipeline.tiles.cleaning import TiledResult, clean_tiles
 from pipeline.tiles.fitting import Fit
 from pipeline.tiles.job import Job
+from pipeline.tiles.labelling import gather_decision
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
 from pipeline.tiles.writing import BATCH
@@ -42,6 +43,7 @@ def clean_in_tiles(
             fit,
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
+        decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
         views, tiles = None, None
         if job.configuration.output.report == "html":
             views, tiles = _views(job, result, meanwhile=executor.workers > 1), tile_work(job)
@@ -63,7 +65,9 @@ def clean_in_tiles(
             executor,
             read=_decoded_batches(job),
         )
-    return CleanedMap(labels, cluster, density, score, result.counts, result.clusters, views, tiles)
+    return CleanedMap(
+        labels, cluster, density, score, result.counts, result.clusters, decision, views, tiles
+    )
 
 
 def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views]:

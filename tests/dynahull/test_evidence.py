@@ -13,7 +13,7 @@ from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Voxels, cells_of
 from dynahull.evidence.model import EvidenceModel, evidence_model
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
-from dynahull.evidence.reasons import REASONS, _reason_of
+from dynahull.evidence.reasons import NO_REASON, REASONS, _reason_of
 from dynahull.evidence.shapes import moments_of, shapes_of
 from dynahull.evidence.summaries import (
     FINEST,
@@ -250,12 +250,15 @@ def test_the_more_confidence_is_asked_for_the_fewer_points_go():
         assert (of_result == (np.nan_to_num(result.score) >= confidence)).all()
         scored = np.isin(result.labels, [Label.STATIC, Label.DYNAMIC])
         assert (np.isfinite(result.score) == scored).all()
+        assert (result.reason[~scored] == NO_REASON).all()
+        assert (result.reason[of_result] < len(REASONS)).any()
 
 
 def test_the_paper_weighs_no_evidence():
     points, _ = scene(500, 9)
     result = clean(points.xyz, ground={"method": "none"}, neighbours={"k": K})
     assert np.isnan(result.score).all()
+    assert (result.reason == NO_REASON).all()
     assert summarise_points(points).sums[:, SCORED].sum() == len(points)
 
 
