@@ -66,8 +66,10 @@ def clean_in_memory(
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
         apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
         labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
-        shown = MapSample.of_map(decoded.points, labels, result.cluster, result.density)
-        views = partial(Views.of, shown, result.clusters, configuration.removal)
+        shown = MapSample.of_map(
+            decoded.points, labels, result.cluster, result.density, result.score
+        )
+        views = partial(Views.of, shown, result.clusters, configuration.removal, decision)
     output = configuration.output
     write_maps(
         collection,

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.cleaned_map import CleanedMap
+from pipeline.decision import Decision
 from pipeline.outputs import OutputNames
 from pipeline.plan import check_plan
 from pipeline.progress import StageObserver
@@ -46,7 +47,8 @@ def clean_in_tiles(
         decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
         views, tiles = None, None
         if job.configuration.output.report == "html":
-            views, tiles = _views(job, result, meanwhile=executor.workers > 1), tile_work(job)
+            views = _views(job, result, decision, meanwhile=executor.workers > 1)
+            tiles = tile_work(job)
         output = job.configuration.output
         cluster, density, score = None, None, None
         if output.needs_scores:
@@ -70,14 +72,17 @@ def clean_in_tiles(
     )
 
 
-def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views]:
+def _views(
+    job: Job, result: TiledResult, decision: Decision | None, meanwhile: bool
+) -> Callable[[], Views]:
     """Return what gives the views of the report.
 
     They are prepared `meanwhile` where there is a core for it.
     """
 
     def views() -> Views:
-        return Views.of(gather_sample(job), result.clusters, job.configuration.removal)
+        removal = job.configuration.removal
+        return Views.of(gather_sample(job), result.clusters, removal, decision)
 
     return begun(views) if meanwhile else views
 

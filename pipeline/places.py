@@ -33,6 +33,9 @@ SURROUNDINGS = "the points around it look like a ghost"
 
 _WORDS = (*REASONS, SURROUNDINGS)
 _MOST_REASONS = 3
+_LEAST_SHARE = 0.05
+"""Of the points of a place, for a reason to be told beside the first."""
+
 _THOUSANDTHS = 1_000
 
 _POINTS, _SCORE, _REASONS = 0, 1, 2
@@ -219,8 +222,8 @@ def _place(number: int, row: Integers) -> Place:
         score=round(int(row[_SCORE]) / (points * _THOUSANDTHS), 3),
         reasons=tuple(
             PlaceReason(words=_WORDS[reason], share=round(by_reason[reason] / points, 3))
-            for reason in order
-            if by_reason[reason]
+            for rank, reason in enumerate(order)
+            if rank == 0 or by_reason[reason] >= _LEAST_SHARE * points
         ),
     )
 

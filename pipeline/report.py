@@ -227,7 +227,7 @@ class RunReport(BaseModel):
             return ["nothing was scored: nothing removed"]
         kept = ""
         if self.uncertain_points:
-            kept = f"; {_share(self.uncertain_points, self.points)} uncertain, kept"
+            kept = f"; {share_of(self.uncertain_points, self.points)} uncertain, kept"
         if not removed:
             return [f"nothing moved: nothing removed{kept}"]
         where = []
@@ -235,7 +235,7 @@ class RunReport(BaseModel):
             where.append(_counted(self.place_count, "place"))
         if self.scattered_points:
             where.append(_counted(self.scattered_points, "scattered point"))
-        lines = [f"{_share(removed, self.points)} removed in {' and '.join(where)}{kept}"]
+        lines = [f"{share_of(removed, self.points)} removed in {' and '.join(where)}{kept}"]
         if self.places:
             place = self.places[0]
             at = ", ".join(f"{value:,.1f}" for value in place.middle)
@@ -252,7 +252,7 @@ def _counted(count: int, what: str) -> str:
     return f"{count:,} {what}" + ("" if count == 1 else "s")
 
 
-def _share(part: int, whole: int) -> str:
+def share_of(part: int, whole: int) -> str:
     """Return a share in percent; one that is not nothing does not look like nothing."""
     percent = 100 * part / whole
     return "under 0.1 %" if percent < 0.1 else f"{percent:.1f} %"

@@ -54,30 +54,31 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     counts, cuts = _cuts_of(job, tile)
     removal = job.configuration.removal
     judged = judge_tile(job, tile) if removal.weighs_evidence else None
+    score = None if judged is None else judged.score
     removed = []
     place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
         members = np.flatnonzero(scored.cluster == cluster)
         if count < SMALLEST_CLUSTER:
             labels[place[members]] = Label.UNSCORED
-        if judged is None:
+        if score is None:
             dynamic = cut.dynamic(scored.density[members], scored.rows[members])
         else:
-            dynamic = remove_likely(judged.score[members], removal.confidence).dynamic
+            dynamic = remove_likely(score[members], removal.confidence).dynamic
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
     kept: dict[str, NDArray[Any]] = {"label": labels}
     if judged is not None:
         kept |= _decided(job, tile, judged).to_arrays()
     if job.configuration.output.report == "html":
-        kept |= shown_points(job, tile, core_rows, labels, scored).to_arrays()
+        kept |= shown_points(job, tile, core_rows, labels, scored, score).to_arrays()
     if job.configuration.output.needs_scores:
         kept["cluster"] = np.full(len(core_rows), NO_CLUSTER, np.int32)
         kept["cluster"][place] = scored.cluster + first_cluster(job, tile)
         kept["density"] = np.full(len(core_rows), np.nan)
         kept["density"][place] = scored.density
         kept["score"] = np.full(len(core_rows), np.nan, np.float32)
-        kept["score"][place] = np.nan if judged is None else judged.score
+        kept["score"][place] = np.nan if score is None else score
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
         kept["thresholds"] = np.array(limits)
