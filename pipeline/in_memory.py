@@ -5,14 +5,17 @@ from pathlib import Path
 from threading import Thread
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull import clean
 from dynahull.checking import valid_points
 from dynahull.labels import Label
 from dynahull.loading import load_libraries
-from dynahull.result import NO_CLUSTER
+from dynahull.parameters import RemovalParameters
+from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.cleaned_map import CleanedMap
 from pipeline.configuration import Configuration
+from pipeline.decision import Decision
 from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.machine import available_cores
 from pipeline.outputs import OutputNames
@@ -56,11 +59,7 @@ def clean_in_memory(
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
-    decision = None
-    if configuration.removal.weighs_evidence:
-        decision = DecisionSums.of(
-            decoded.points, result.score, result.reason, configuration.removal.confidence
-        ).decision()
+    decision = _decision(decoded.points, result, configuration.removal)
     views = None
     if configuration.output.report == "html":
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
@@ -91,3 +90,11 @@ def clean_in_memory(
         decision,
         views,
     )
+
+
+def _decision(
+    points: NDArray[np.float64], result: CleaningResult, removal: RemovalParameters
+) -> Decision | None:
+    if not removal.weighs_evidence:
+        return None
+    return DecisionSums.of(points, result.score, result.reason, removal.confidence).decision()
