@@ -17,7 +17,8 @@ from dynahull.checking import (
 )
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, cluster_densities
-from dynahull.evidence.model import ghost_scores
+from dynahull.evidence.model import judge_points
+from dynahull.evidence.reasons import NO_REASON
 from dynahull.evidence.summaries import ScoredPoints
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
@@ -123,6 +124,7 @@ def clean(
     )
     density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
     score = np.full(len(coordinates), np.nan, np.float32)
+    reason = np.full(len(coordinates), NO_REASON, np.uint8)
     if parameters.removal.weighs_evidence:
         observer.stage("evidence", len(rows))
         spread = _scattered(
@@ -131,9 +133,9 @@ def clean(
         scored = ScoredPoints(
             coordinates.take(rows, axis=0), density[rows], spread[rows], aside.height[rows]
         )
-        score[rows] = ghost_scores(
-            scored, coordinates[aside.ground | aside.above], parameters.neighbours.k, threads
-        )
+        unscored = coordinates[aside.ground | aside.above]
+        judged = judge_points(scored, unscored, parameters.neighbours.k, threads)
+        score[rows], reason[rows] = judged.score, judged.reason
         observer.advance(len(rows))
         removals = [
             remove_likely(score[members], parameters.removal.confidence) for members in membership
@@ -147,6 +149,7 @@ def clean(
         labels=_merged_labels(labels, aside, membership, removals),
         density=density,
         score=score,
+        reason=reason,
         cluster=_scattered(
             np.full(len(coordinates), NO_CLUSTER, np.int32), membership, range(len(membership))
         ),

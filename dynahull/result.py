@@ -53,6 +53,8 @@ class CleaningResult:
         Index of the cluster, -1 where not clustered.
     score : (N,) float32 array
         Probability of having moved, by the evidence; NaN where not scored, or not weighed.
+    reason : (N,) uint8 array
+        Which of `dynahull.evidence.reasons.REASONS` speaks most for a ghost; 255 where none does.
     clusters : tuple of ClusterSummary
         One for each cluster, in the order of their indices.
     """
@@ -61,6 +63,7 @@ class CleaningResult:
     density: NDArray[np.float64]
     cluster: NDArray[np.int32]
     score: NDArray[np.float32]
+    reason: NDArray[np.uint8]
     clusters: tuple[ClusterSummary, ...]
 
     @property

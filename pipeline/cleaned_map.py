@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.result import ClusterSummary
+from pipeline.decision import Decision
 from pipeline.report_page.page import Views
 from pipeline.report_page.tile_chart import TileWork
 
@@ -25,6 +26,8 @@ class CleanedMap:
     counts : dict of str to int
         Points of each label.
     clusters : tuple of ClusterSummary
+    decision : Decision or None
+        None where the evidence was not asked.
     views : callable or None
         Gives what the report shows; None where none is wanted.
     tiles : TileWork or None
@@ -37,5 +40,6 @@ class CleanedMap:
     score: NDArray[np.float32] | None
     counts: dict[str, int]
     clusters: tuple[ClusterSummary, ...]
+    decision: Decision | None
     views: Callable[[], Views] | None = None
     tiles: TileWork | None = None

@@ -5,17 +5,21 @@ from pathlib import Path
 from threading import Thread
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull import clean
 from dynahull.checking import valid_points
 from dynahull.labels import Label
 from dynahull.loading import load_libraries
-from dynahull.result import NO_CLUSTER
+from dynahull.parameters import RemovalParameters
+from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.cleaned_map import CleanedMap
 from pipeline.configuration import Configuration
+from pipeline.decision import Decision
 from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.machine import available_cores
 from pipeline.outputs import OutputNames
+from pipeline.places import DecisionSums
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.report_page.sample import MapSample
@@ -55,13 +59,16 @@ def clean_in_memory(
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
+    decision = _decision(decoded.points, result, configuration.removal)
     views = None
     if configuration.output.report == "html":
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
         apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
         labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
-        shown = MapSample.of_map(decoded.points, labels, result.cluster, result.density)
-        views = partial(Views.of, shown, result.clusters, configuration.removal)
+        shown = MapSample.of_map(
+            decoded.points, labels, result.cluster, result.density, result.score
+        )
+        views = partial(Views.of, shown, result.clusters, configuration.removal, decision)
     output = configuration.output
     write_maps(
         collection,
@@ -80,5 +87,14 @@ def clean_in_memory(
         result.score,
         result.counts(),
         result.clusters,
+        decision,
         views,
     )
+
+
+def _decision(
+    points: NDArray[np.float64], result: CleaningResult, removal: RemovalParameters
+) -> Decision | None:
+    if not removal.weighs_evidence:
+        return None
+    return DecisionSums.of(points, result.score, result.reason, removal.confidence).decision()

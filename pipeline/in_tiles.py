@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.cleaned_map import CleanedMap
+from pipeline.decision import Decision
 from pipeline.outputs import OutputNames
 from pipeline.plan import check_plan
 from pipeline.progress import StageObserver
@@ -14,6 +15,7 @@ from pipeline.tiles.ahead import begun
 from pipeline.tiles.cleaning import TiledResult, clean_tiles
 from pipeline.tiles.fitting import Fit
 from pipeline.tiles.job import Job
+from pipeline.tiles.labelling import gather_decision
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
 from pipeline.tiles.writing import BATCH
@@ -42,9 +44,11 @@ def clean_in_tiles(
             fit,
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
+        decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
         views, tiles = None, None
         if job.configuration.output.report == "html":
-            views, tiles = _views(job, result, meanwhile=executor.workers > 1), tile_work(job)
+            views = _views(job, result, decision, meanwhile=executor.workers > 1)
+            tiles = tile_work(job)
         output = job.configuration.output
         cluster, density, score = None, None, None
         if output.needs_scores:
@@ -63,17 +67,22 @@ def clean_in_tiles(
             executor,
             read=_decoded_batches(job),
         )
-    return CleanedMap(labels, cluster, density, score, result.counts, result.clusters, views, tiles)
+    return CleanedMap(
+        labels, cluster, density, score, result.counts, result.clusters, decision, views, tiles
+    )
 
 
-def _views(job: Job, result: TiledResult, meanwhile: bool) -> Callable[[], Views]:
+def _views(
+    job: Job, result: TiledResult, decision: Decision | None, meanwhile: bool
+) -> Callable[[], Views]:
     """Return what gives the views of the report.
 
     They are prepared `meanwhile` where there is a core for it.
     """
 
     def views() -> Views:
-        return Views.of(gather_sample(job), result.clusters, job.configuration.removal)
+        removal = job.configuration.removal
+        return Views.of(gather_sample(job), result.clusters, removal, decision)
 
     return begun(views) if meanwhile else views
 

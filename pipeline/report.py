@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from dynahull.result import ClusterSummary
 from pipeline.configuration import Configuration
+from pipeline.decision import Decision, Place
 from pipeline.machine import peak_memory
 from pipeline.outputs import LABELS_FILE, REPORT_FILE, RUN_FILE, OutputNames
 from pipeline.progress import StageObserver
@@ -85,6 +86,15 @@ class RunReport(BaseModel):
     counts : dict of str to int
         Points of each label; they add up to `points`.
     clusters : list of ClusterReport
+    places : list of Place
+        Where points were removed, the places of most points first; empty where a share of each
+        cluster is removed, whatever the evidence.
+    place_count : int or None
+        All places, also those that are not listed.
+    scattered_points : int or None
+        Removed points that are in no place.
+    uncertain_points : int or None
+        Points kept, though at least half as likely to have moved as those that go.
     seconds : dict of str to float
         Wall time of each stage.
     peak_memory_bytes : int
@@ -107,6 +117,10 @@ class RunReport(BaseModel):
     points: int
     counts: dict[str, int]
     clusters: list[ClusterReport]
+    places: list[Place] = []
+    place_count: int | None = None
+    scattered_points: int | None = None
+    uncertain_points: int | None = None
     seconds: dict[str, float]
     peak_memory_bytes: int
     warnings: list[FileName]
@@ -122,6 +136,7 @@ class RunReport(BaseModel):
         configuration: Configuration,
         counts: dict[str, int],
         clusters: Sequence[ClusterSummary],
+        decision: Decision | None,
         names: OutputNames,
         observer: StageObserver,
     ) -> "RunReport":
@@ -141,6 +156,10 @@ class RunReport(BaseModel):
             points=collection.point_count,
             counts=counts,
             clusters=[ClusterReport.of(cluster) for cluster in clusters],
+            places=[] if decision is None else list(decision.places),
+            place_count=None if decision is None else decision.place_count,
+            scattered_points=None if decision is None else decision.scattered,
+            uncertain_points=None if decision is None else decision.uncertain,
             seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
             warnings=list(observer.warnings),
@@ -197,7 +216,46 @@ class RunReport(BaseModel):
         lines.append(
             "written: " + ", ".join(printable(path) for path in [*written, folder / RUN_FILE])
         )
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.verdict()])
+
+    def verdict(self) -> list[str]:
+        """Return what the evidence came to, in a line or two; nothing where it was not asked."""
+        if self.place_count is None or self.uncertain_points is None:
+            return []
+        removed = self.counts["dynamic"]
+        if not removed + self.counts["static"]:
+            return ["nothing was scored: nothing removed"]
+        kept = ""
+        if self.uncertain_points:
+            kept = f"; {share_of(self.uncertain_points, self.points)} uncertain, kept"
+        if not removed:
+            return [f"nothing moved: nothing removed{kept}"]
+        where = []
+        if self.place_count:
+            where.append(_counted(self.place_count, "place"))
+        if self.scattered_points:
+            where.append(_counted(self.scattered_points, "scattered point"))
+        lines = [f"{share_of(removed, self.points)} removed in {' and '.join(where)}{kept}"]
+        if self.places:
+            place = self.places[0]
+            at = ", ".join(f"{value:,.1f}" for value in place.middle)
+            size = " x ".join(f"{value:.1f}" for value in place.size)
+            why = place.reasons[0]
+            lines.append(
+                f"largest place: {place.points:,} points about ({at}), {size} m: "
+                f"{why.words} ({100 * why.share:.0f} %)"
+            )
+        return lines
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}" + ("" if count == 1 else "s")
+
+
+def share_of(part: int, whole: int) -> str:
+    """Return a share in percent; one that is not nothing does not look like nothing."""
+    percent = 100 * part / whole
+    return "under 0.1 %" if percent < 0.1 else f"{percent:.1f} %"
 
 
 def _seconds(observer: StageObserver) -> dict[str, float]:

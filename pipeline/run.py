@@ -139,6 +139,7 @@ def run(
             configuration,
             cleaned.counts,
             cleaned.clusters,
+            cleaned.decision,
             names,
             observer,
         )

@@ -82,6 +82,11 @@ class Voxels:
         """Return the sums over the 3 x 3 x 3 voxels about each voxel, (V, C)."""
         return _sums_around(self.cells, self.sums, self.cells, self.table)
 
+    def connected(self) -> npt.NDArray[np.intp]:
+        """Return the group of each voxel, (V,): those that touch, by a corner at least, are one."""
+        _, groups = np.unique(_first_touching(self.cells, self.table), return_inverse=True)
+        return np.asarray(groups)
+
 
 def cells_of(points: Floats, side: float) -> Cells:
     """Return the cell of each point, (n, 3)."""
@@ -197,3 +202,31 @@ def _sums_around(
                         for column in range(sums.shape[1]):
                             around[centre, column] += sums[number, column]
     return around
+
+
+@compiled
+def _first_touching(cells: Cells, table: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Return the first voxel of the group that each voxel is in (union-find)."""
+    parent = np.arange(len(cells)).astype(np.int32)
+    for number in range(len(cells)):
+        i, j, k = cells[number, 0], cells[number, 1], cells[number, 2]
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                for dk in range(-1, 2):
+                    other = find_cell(i + di, j + dj, k + dk, cells, table)
+                    if other < 0:
+                        continue
+                    one = _root(parent, number)
+                    other = _root(parent, other)
+                    parent[max(one, other)] = min(one, other)
+    for number in range(len(cells)):
+        parent[number] = _root(parent, number)
+    return parent
+
+
+@helper
+def _root(parent: npt.NDArray[np.int32], number: int) -> int:
+    while parent[number] != number:
+        parent[number] = parent[parent[number]]
+        number = parent[number]
+    return number

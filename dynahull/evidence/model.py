@@ -163,10 +163,24 @@ class EvidenceModel:
         return np.concatenate(over_ranges(judge, _bounds(len(xyz)), threads))
 
 
-def ghost_scores(
-    points: ScoredPoints, unscored: Floats, k: int, threads: int = 1
-) -> npt.NDArray[np.float32]:
-    """Return the probability that each point of a map moved, (n,); NaN where it has no density.
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What the evidence makes of some points.
+
+    Attributes
+    ----------
+    score : (n,) float32 array
+        Probability of having moved; NaN where there is no density.
+    reason : (n,) uint8 array
+        Which of `reasons.REASONS` speaks most for a ghost.
+    """
+
+    score: npt.NDArray[np.float32]
+    reason: npt.NDArray[np.uint8]
+
+
+def judge_points(points: ScoredPoints, unscored: Floats, k: int, threads: int = 1) -> Judged:
+    """Judge all points of a map.
 
     Parameters
     ----------
@@ -183,7 +197,8 @@ def ghost_scores(
     voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored)])
     found = model.first_round(points, k, Surroundings.of(voxels), threads)
     odds = summarise_odds(points.xyz, found.log_odds)
-    return final_scores(model, points.xyz, points.density, found, odds, threads)
+    score = final_scores(model, points.xyz, points.density, found, odds, threads)
+    return Judged(score, found.reason)
 
 
 def final_scores(

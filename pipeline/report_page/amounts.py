@@ -1,8 +1,9 @@
-"""What other removal amounts would take: the numbers behind the slider of the report.
+"""What other settings would take: the numbers behind the slider of the report.
 
 The slider is `removal.max_percent`; `removal.min_percent` goes with it, in the run's own ratio.
 Eq. 1 is linear in the two, so that R_i is in proportion to the slider, and each scored point has
-one amount from which on it is removed.
+one amount from which on it is removed. Where the evidence decides, the slider is
+`removal.confidence`, and the amount is what it lacks of certainty, in percent.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
+from pipeline.decision import SCORE_STEPS, Decision
 from pipeline.report import ClusterReport
 from pipeline.report_page.sample import MapSample
 
@@ -20,7 +22,7 @@ NEVER = np.inf
 """The amount of points that no setting removes: ground, and points of infinite density."""
 
 TABLE_STEP = 0.1
-"""Percent between two entries of the table of removed points."""
+"""Percent between two entries of the table of removed points, by Eq. 1."""
 
 _CUT_STEP = 1.0
 """Percent between two entries of the table of cuts."""
@@ -33,13 +35,16 @@ class Amounts:
     Attributes
     ----------
     own : float
-        The run's `removal.max_percent`.
+        The run's `removal.max_percent`, or what its `removal.confidence` lacks of certainty.
     removed_from : (n,) float64 array
         For each sampled point the amount, in percent, from which on it goes; `NEVER` is possible.
         What the run removed is at or below `own`, and the rest above it.
-    removed_points : (1001,) int64 array
+    step : float
+        Percent between two entries of `removed_points`.
+    removed_points : (T,) int64 array
         Points of the whole map that go at 0, 0.1 ... 100 %: R_i of N_i by Eq. 1, as far as points
-        of finite density last, whose share of a cluster is that in the sample.
+        of finite density last, whose share of a cluster is that in the sample. By evidence, at 0,
+        1 ... 100 %, exactly.
     cuts : dict of int to (101,) float64 array
         For each cluster the density of the densest point that goes at 0, 1 ... 100 %, from the
         sample; NaN where none goes.
@@ -49,6 +54,7 @@ class Amounts:
 
     own: float
     removed_from: NDArray[np.float64]
+    step: float
     removed_points: NDArray[np.int64]
     cuts: dict[int, NDArray[np.float64]]
     margin: float
@@ -93,17 +99,34 @@ def removal_amounts(
             margin = max(margin, 196 * float(np.sqrt(share * (1 - share) / len(members))))
     if len(sample) == sample.total:
         margin = 0.0
-    return Amounts(own, removed_from, removed.astype(np.int64), cuts, margin)
+    return Amounts(own, removed_from, TABLE_STEP, removed.astype(np.int64), cuts, margin)
 
 
-def decided_amounts(sample: MapSample, clusters: Sequence[ClusterReport]) -> Amounts:
-    """Return what there is where no amount was asked for: the points that the run removed."""
-    steps = round(100 / TABLE_STEP) + 1
-    own = 100.0
+def confidence_amounts(
+    sample: MapSample, clusters: Sequence[ClusterReport], confidence: float, decision: Decision
+) -> Amounts:
+    """Find what each confidence takes, where the evidence decides.
+
+    Parameters
+    ----------
+    sample : MapSample
+    clusters : sequence of ClusterReport
+    confidence : float
+        The run's own.
+    decision : Decision
+        Of the whole map.
+    """
+    own = 100 * (1 - confidence)
+    lacking = 100 * (1 - sample.score.astype(np.float64))
+    gone = sample.labels == Label.DYNAMIC
+    lacking = np.where(
+        gone, np.minimum(lacking, own), np.maximum(lacking, np.nextafter(own, NEVER))
+    )
     return Amounts(
         own,
-        np.where(sample.labels == Label.DYNAMIC, own, NEVER),
-        np.full(steps, sum(cluster.removed for cluster in clusters), np.int64),
+        np.where(np.isnan(sample.score), NEVER, lacking),
+        100 / SCORE_STEPS,
+        decision.removed_at()[::-1],
         {cluster.index: np.full(round(100 / _CUT_STEP) + 1, np.nan) for cluster in clusters},
         0.0,
     )

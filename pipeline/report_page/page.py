@@ -12,12 +12,12 @@ import yaml
 
 from dynahull.parameters import RemovalParameters
 from dynahull.result import ClusterSummary
+from pipeline.decision import Decision
 from pipeline.quantities import in_time, in_units
 from pipeline.report import ClusterReport, RunReport
 from pipeline.report_page.amounts import (
-    TABLE_STEP,
     Amounts,
-    decided_amounts,
+    confidence_amounts,
     removal_amounts,
 )
 from pipeline.report_page.charts import (
@@ -27,6 +27,7 @@ from pipeline.report_page.charts import (
     stage_chart,
 )
 from pipeline.report_page.encoding import EncodedSample, encode
+from pipeline.report_page.place_table import place_section
 from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import MOST_TILES, TileWork, shade_limits, tile_chart
 from pipeline.showing import printable
@@ -38,6 +39,15 @@ _MOST_CLUSTERS = 100
 """Rows of the table of clusters, the largest clusters first."""
 
 _MOST_FILES = 100
+
+_AMOUNT_KNOB = (
+    '<label for="amount">Largest cluster loses <code>removal.max_percent</code></label>'
+    '<input type="range" id="amount" min="0" max="100" step="0.1" disabled>'
+)
+_CONFIDENCE_KNOB = (
+    '<label for="amount">Points go from a score of <code>removal.confidence</code></label>'
+    '<input type="range" id="amount" min="0.05" max="0.95" step="0.01" disabled>'
+)
 
 # Nothing is loaded, from anywhere; scripts and styles are those within the page.
 _POLICY = (
@@ -66,14 +76,18 @@ class Views:
 
     @classmethod
     def of(
-        cls, sample: MapSample, summaries: Sequence[ClusterSummary], removal: RemovalParameters
+        cls,
+        sample: MapSample,
+        summaries: Sequence[ClusterSummary],
+        removal: RemovalParameters,
+        decision: Decision | None,
     ) -> Self:
-        """Prepare the views of a run, from its sample, its clusters and how they were cut."""
+        """Prepare the views of a run, from its sample, its clusters and how it was decided."""
         clusters = [ClusterReport.of(summary) for summary in summaries]
-        if removal.weighs_evidence:
-            amounts = decided_amounts(sample, clusters)
-        else:
+        if decision is None:
             amounts = removal_amounts(sample, clusters, removal.model_dump())
+        else:
+            amounts = confidence_amounts(sample, clusters, removal.confidence, decision)
         densities = _densities(sample, clusters, amounts)
         return cls(sample, amounts, encode(sample, amounts), densities)
 
@@ -93,7 +107,13 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
     weighs = removal["decision"] == "auto"
     contents = {
         "hidden": " hidden" if weighs else "",
-        "question": "What was removed" if weighs else "What would another amount take?",
+        "question": f"What would another {'confidence' if weighs else 'amount'} take?",
+        "knob": _CONFIDENCE_KNOB if weighs else _AMOUNT_KNOB,
+        "score": '<option value="4">score: yellow is likely to have moved</option>'
+        if weighs
+        else "",
+        "verdict": "".join(f"<p>{escape(line)}</p>" for line in report.verdict()),
+        "places": place_section(report),
         "losses": "What each cluster loses" if weighs else "Eq. 1: how much each cluster loses",
         "title": escape(_title(report)),
         "subtitle": _subtitle(report),
@@ -149,6 +169,9 @@ def _figures(report: RunReport) -> str:
     for label in ("above", "unscored", "invalid"):
         if report.counts[label]:
             figures.append((f"{label}, kept", f"{report.counts[label]:,}", ""))
+    if report.place_count is not None:
+        kept = f"{report.uncertain_points:,} points uncertain, kept"
+        figures.append(("places", f"{report.place_count:,}", kept))
     figures.append(("clusters", f"{len(report.clusters):,}", ""))
     figures.append(("wall time", _seconds(sum(report.seconds.values())), "all stages below"))
     figures.append(("peak memory", in_units(report.peak_memory_bytes), "of the main process"))
@@ -200,7 +223,10 @@ def _sample_note(sample: MapSample, amounts: Amounts, removal: dict[str, Any]) -
             f"about ± {amounts.margin:.2g} % of its points (95 %)."
         )
     if removal["decision"] == "auto":
-        return f"{shown} Red is what was removed."
+        return (
+            f"{shown} Red is what goes: a score of at least the confidence. Counts are exact, of "
+            "the whole map, at every hundredth."
+        )
     stepped = (
         " With the threshold <code>stepped</code> the count is that of the run, in proportion."
         if removal["threshold"] == "stepped"
@@ -286,7 +312,8 @@ def _data(report: RunReport, encoded: EncodedSample, amounts: Amounts) -> str:
     facts = encoded.facts | {
         "removed": report.counts["dynamic"],
         "removed_points": amounts.removed_points.tolist(),
-        "table_step": TABLE_STEP,
+        "table_step": amounts.step,
+        "confidence": removal["confidence"] if removal["decision"] == "auto" else None,
         "min_ratio": removal["min_percent"] / removal["max_percent"]
         if removal["max_percent"]
         else 1.0,

@@ -42,6 +42,8 @@ class MapSample:
         -1 where not clustered.
     density : (n,) float64 array
         NaN where not scored.
+    score : (n,) float32 array
+        Probability of having moved; NaN where not scored, or not weighed.
     """
 
     total: int
@@ -50,6 +52,7 @@ class MapSample:
     labels: NDArray[np.uint8]
     cluster: NDArray[np.int32]
     density: NDArray[np.float64]
+    score: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -61,11 +64,13 @@ class MapSample:
         labels: NDArray[np.uint8],
         cluster: NDArray[np.int32],
         density: NDArray[np.float64],
+        score: NDArray[np.float32],
     ) -> Self:
         """Take the sample of a map in memory."""
         rows = sampled_rows(len(points))
         rows = rows[labels[rows] != Label.INVALID]
-        return cls(len(points), rows, points[rows], labels[rows], cluster[rows], density[rows])
+        columns = (points, labels, cluster, density, score)
+        return cls(len(points), rows, *(column[rows] for column in columns))
 
     @classmethod
     def of_parts(cls, total: int, parts: Sequence["MapSample"]) -> Self:
@@ -82,6 +87,7 @@ class MapSample:
             labels[order],
             np.concatenate([part.cluster for part in parts])[order],
             np.concatenate([part.density for part in parts])[order],
+            np.concatenate([part.score for part in parts])[order],
         )
 
     @classmethod
@@ -94,6 +100,7 @@ class MapSample:
             np.empty(0, np.uint8),
             np.empty(0, np.int32),
             np.empty(0),
+            np.empty(0, np.float32),
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -101,7 +108,7 @@ class MapSample:
         return {f"shown_{name}": getattr(self, name) for name in _COLUMNS}
 
 
-_COLUMNS = ("rows", "xyz", "labels", "cluster", "density")
+_COLUMNS = ("rows", "xyz", "labels", "cluster", "density", "score")
 
 ARRAY_NAMES = tuple(f"shown_{name}" for name in _COLUMNS)
 """Of what `MapSample.to_arrays` returns, in the order of the attributes."""

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
+from dynahull.evidence.model import Judged
 from dynahull.labels import Label
 from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.result import NO_CLUSTER
+from pipeline.decision import Decision
 from pipeline.errors import WorkError
+from pipeline.places import ARRAY_NAMES, DecisionSums
 from pipeline.selection import Cut, find_cuts
 from pipeline.tiles.ground import LABEL_NAMES
 from pipeline.tiles.job import Job
@@ -20,7 +23,7 @@ from pipeline.tiles.sampling import shown_points
 from pipeline.tiles.scores import KeptScores, scored_points
 from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.sealed import GO_ON, read_sealed, write_sealed
-from pipeline.tiles.weighing import scores_of
+from pipeline.tiles.weighing import judge_tile
 from pipeline.tiles.work import TaskReport
 
 CUTS_FILE = "cuts.json"
@@ -50,7 +53,8 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     scored = scored_points(job, tile)
     counts, cuts = _cuts_of(job, tile)
     removal = job.configuration.removal
-    score = scores_of(job, tile) if removal.weighs_evidence else None
+    judged = judge_tile(job, tile) if removal.weighs_evidence else None
+    score = None if judged is None else judged.score
     removed = []
     place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
@@ -64,8 +68,10 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
     kept: dict[str, NDArray[Any]] = {"label": labels}
+    if judged is not None:
+        kept |= _decided(job, tile, judged).to_arrays()
     if job.configuration.output.report == "html":
-        kept |= shown_points(job, tile, core_rows, labels, scored).to_arrays()
+        kept |= shown_points(job, tile, core_rows, labels, scored, score).to_arrays()
     if job.configuration.output.needs_scores:
         kept["cluster"] = np.full(len(core_rows), NO_CLUSTER, np.int32)
         kept["cluster"][place] = scored.cluster + first_cluster(job, tile)
@@ -79,6 +85,23 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     job.work.save("label", tile, **kept)
     found = np.bincount(labels, minlength=len(Label)).tolist()
     return TaskReport(len(core_rows), (*found, *removed))
+
+
+def _decided(job: Job, tile: int, judged: Judged) -> DecisionSums:
+    (xyz,) = job.work.load("ground", tile, "own_xyz")
+    layout = job.store.layout
+    core = np.stack([layout.low[tile], layout.high[tile]])
+    confidence = job.configuration.removal.confidence
+    return DecisionSums.of(xyz, judged.score, judged.reason, confidence, core)
+
+
+def gather_decision(job: Job) -> Decision:
+    """Return what was decided, from the sums that the label tasks of all tiles kept."""
+    parts = (
+        DecisionSums.from_arrays(*job.work.load("label", tile, *ARRAY_NAMES))
+        for tile in range(len(job.store.layout))
+    )
+    return DecisionSums.merged(parts).decision()
 
 
 def _cuts_of(job: Job, tile: int) -> tuple[list[int], list[Cut]]:

@@ -20,8 +20,12 @@ def shown_points(
     core_rows: NDArray[np.int64],
     core_labels: NDArray[np.uint8],
     scored: ScoredPoints,
+    score_of: NDArray[np.float32] | None,
 ) -> MapSample:
-    """Return the sampled points of a tile's core, with their labels, clusters and densities."""
+    """Return the sampled points of a tile's core, and what became of them.
+
+    `score_of` says how likely the points that are `scored` have moved, if that was asked.
+    """
     total = job.collection.point_count
     xyz, rows = job.work.load("ground", tile, *SHOWN_NAMES)
     wanted = is_sampled(scored.rows, total)
@@ -30,8 +34,11 @@ def shown_points(
     place = np.searchsorted(rows, scored.rows[wanted])  # rows are in order
     cluster[place] = scored.cluster[wanted] + first_cluster(job, tile)
     density[place] = scored.density[wanted]
+    score = np.full(len(rows), np.nan, np.float32)
+    if score_of is not None:
+        score[place] = score_of[wanted]
     labels = core_labels[np.searchsorted(core_rows, rows)]
-    return MapSample(total, rows, xyz, labels, cluster, density)
+    return MapSample(total, rows, xyz, labels, cluster, density, score)
 
 
 def gather_sample(job: Job) -> MapSample:

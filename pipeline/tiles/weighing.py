@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.evidence.lattice import Voxels
-from dynahull.evidence.model import FirstRound, evidence_model, final_scores
+from dynahull.evidence.model import FirstRound, Judged, evidence_model, final_scores
 from dynahull.evidence.summaries import (
     REACH,
     ScoredPoints,
@@ -57,13 +57,13 @@ def weigh_tile(job: Job, tile: int) -> TaskReport:
     return TaskReport(int(job.store.layout.counts[tile]))
 
 
-def scores_of(job: Job, tile: int) -> NDArray[np.float32]:
-    """Return the probability that each scored point of a tile's core moved; all are weighed."""
+def judge_tile(job: Job, tile: int) -> Judged:
+    """Judge the scored points of a tile's core once more, all tiles being weighed."""
     xyz, _ = job.work.load("ground", tile, *_POINTS)
     (density,) = job.work.load("density", tile, "density")
     found = FirstRound(*job.work.load("evidence", tile, *_FIRST))
     odds = _around(job, tile, {"evidence": _ODDS})
-    return final_scores(evidence_model(), xyz, density, found, odds)
+    return Judged(final_scores(evidence_model(), xyz, density, found, odds), found.reason)
 
 
 def _arrays(name: str, voxels: Voxels) -> dict[str, NDArray[Any]]:

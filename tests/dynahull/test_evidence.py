@@ -13,7 +13,7 @@ from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Voxels, cells_of
 from dynahull.evidence.model import EvidenceModel, evidence_model
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
-from dynahull.evidence.reasons import REASONS, _reason_of
+from dynahull.evidence.reasons import NO_REASON, REASONS, _reason_of
 from dynahull.evidence.shapes import moments_of, shapes_of
 from dynahull.evidence.summaries import (
     FINEST,
@@ -246,16 +246,19 @@ def test_the_more_confidence_is_asked_for_the_fewer_points_go():
     ]
     removed = [result.labels == Label.DYNAMIC for result in results]
     assert removed[0].sum() >= removed[1].sum() >= removed[2].sum()
+    assert (results[0].reason[removed[0]] < len(REASONS)).any()
     for result, of_result, confidence in zip(results, removed, (0.1, 0.5, 0.9), strict=True):
         assert (of_result == (np.nan_to_num(result.score) >= confidence)).all()
         scored = np.isin(result.labels, [Label.STATIC, Label.DYNAMIC])
         assert (np.isfinite(result.score) == scored).all()
+        assert (result.reason[~scored] == NO_REASON).all()
 
 
 def test_the_paper_weighs_no_evidence():
     points, _ = scene(500, 9)
     result = clean(points.xyz, ground={"method": "none"}, neighbours={"k": K})
     assert np.isnan(result.score).all()
+    assert (result.reason == NO_REASON).all()
     assert summarise_points(points).sums[:, SCORED].sum() == len(points)
 
 

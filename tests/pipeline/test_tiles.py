@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from dynahull import Label, clean
 from pipeline.configuration import load_configuration
+from pipeline.places import DecisionSums
 from pipeline.plan import decision_radius
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
@@ -140,12 +141,19 @@ def test_labels_clusters_and_densities_are_those_of_the_whole_map(
         name, save = ("map.npz", np.savez_compressed) if decoded else ("map.npy", np.save)
         save(Path(folder) / name, points)
         maps = [Path(folder) / name]
-        _, table, chunks = tiled(
+        report, table, chunks = tiled(
             maps, Path(folder) / "out", min(max_points, len(points) // 2),
             f"tiling.halo={halo}", *wanted,
         )  # fmt: skip
         assert len(chunks) > 1 or kind == "duplicates"
-        assert_same(table, in_memory(maps, *wanted))
+        result = in_memory(maps, *wanted)
+        assert_same(table, result)
+        if decision == "auto":
+            decided = DecisionSums.of(points, result.score, result.reason, 0.2).decision()
+            assert report.places == list(decided.places)
+            assert report.place_count == decided.place_count
+            assert report.scattered_points == decided.scattered
+            assert report.uncertain_points == decided.uncertain
 
 
 @pytest.fixture

@@ -6,6 +6,10 @@
   const byId = (name) => document.getElementById(name);
   const written = (number) => number.toLocaleString("en-GB");
   const rounded = (number) => Number(number.toFixed(4));
+  // The slider is a share, or the confidence: then the amount is what it lacks of certainty.
+  const byScore = facts.confidence !== null;
+  const turned = (value) => (byScore ? 100 - 100 * value : value);
+  const found = JSON.parse(byId("run").textContent).places;
   const scene = makeScene();
   const views = ["before", "after"].map((when) => ({
     top: new View(byId(`top-${when}`), when === "before"),
@@ -81,23 +85,24 @@
     const removed = isOwn ? facts.removed
       : facts.removed_points[Math.round(amount / facts.table_step)];
     const share = facts.total ? (100 * removed) / facts.total : 0;
-    byId("amount-value").textContent = `${rounded(amount)} %`;
+    const value = !byScore ? amount : isOwn ? facts.confidence : 1 - amount / 100;
+    byId("amount-value").textContent = rounded(value) + (byScore ? "" : " %");
     byId("removed-count").textContent = written(removed);
     byId("removed-share").textContent = `points, ${share.toFixed(1)} % of the map,`;
     byId("removed-kind").textContent = isOwn ? "removed in this run" : "would be removed";
     const least = isOwn ? facts.min_percent : amount * facts.min_ratio;
-    byId("settings").textContent = `--set removal.min_percent=${rounded(least)} ` +
-      `--set removal.max_percent=${rounded(amount)}`;
+    byId("settings").textContent = byScore ? `--set removal.confidence=${rounded(value)}`
+      : `--set removal.min_percent=${rounded(least)} --set removal.max_percent=${rounded(amount)}`;
     drawCuts(amount);
     draw();
   }
   function reset() {
-    byId("amount").value = facts.own;
+    byId("amount").value = byScore ? facts.confidence : facts.own;
     setAmount(facts.own, true);
   }
 
   byId("amount").addEventListener("input", (event) => {
-    const amount = Number(event.target.value);
+    const amount = turned(Number(event.target.value));
     const nearest = Math.abs(amount - facts.own) <= facts.table_step / 2;
     setAmount(nearest ? facts.own : amount, nearest);
   });
@@ -133,6 +138,18 @@
   byId("outside").textContent = facts.outside
     ? `${written(facts.outside)} of the sampled points lie far away from all others and are not shown.`
     : "";
+
+  function visit(place) {
+    if (scene) scene.visit(place.low, place.high);
+    const axis = 1 - section.across;
+    section.place = ((place.low[axis] + place.high[axis]) / 2 - facts.low[axis]) / facts.span[axis];
+    byId("place").value = Math.round(1000 * section.place);
+    drawSection();
+    byId(scene ? "scene" : "section-before").closest("section").scrollIntoView();
+  }
+  for (const button of document.querySelectorAll("[data-place]")) {
+    button.addEventListener("click", () => visit(found[button.dataset.place - 1]));
+  }
 
   const inScene = ["colour", "size", "from-above", "from-side"];
   if (scene) {

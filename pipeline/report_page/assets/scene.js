@@ -33,6 +33,7 @@ const VERTEX_SHADER = `
     float height = clamp((position.z - heights.x) / max(heights.y - heights.x, 1e-6), 0.0, 1.0);
     if (mode == 1) tone = ramp(height);
     else if (mode == 2) tone = density > 254.5 ? vec3(0.75) : ramp(density / 254.0);
+    else if (mode == 4) tone = amount > 60000.5 ? vec3(0.75) : ramp(1.0 - amount / 60000.0);
     else if (mode == 3) {
       int index = int(mod(cluster, 6.0));
       tone = label > 1.5 ? vec3(0.75)
@@ -43,7 +44,7 @@ const VERTEX_SHADER = `
       tone = kind == 3 ? colours[3] : kind == 2 ? colours[2] : kind == 1 ? colours[1] : colours[0];
       if (kind != 1) tone = mix(tone * 0.75, mix(tone, vec3(1.0), 0.3), height);
     }
-    if (mode != 0 && kind == 1) tone = mix(tone, colours[1], 0.35);
+    if (mode != 0 && mode != 4 && kind == 1) tone = mix(tone, colours[1], 0.35);
     vec4 seen = modelViewMatrix * vec4(position, 1.0);
     gl_Position = visible > 0.5 ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
     gl_PointSize = pixels * size * (kind == 1 ? 1.5 : 1.0);
@@ -56,6 +57,32 @@ const FRAGMENT_SHADER = `
     if (dot(off, off) > 0.25) discard;
     gl_FragColor = vec4(tone, 1.0);
   }`;
+
+const BOX_VERTEX_SHADER = `
+  uniform float pixels;
+  void main() {
+    gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+    gl_PointSize = 2.0 * pixels;
+  }`;
+
+const BOX_FRAGMENT_SHADER = "void main() { gl_FragColor = vec4(0.11, 0.15, 0.20, 1.0); }";
+
+// The edges of a box as dots, an axis after the other.
+function boxDots(low, high, number) {
+  const dots = [];
+  for (let axis = 0; axis < 3; axis++) {
+    for (let corner = 0; corner < 4; corner++) {
+      for (let step = 0; step <= number; step++) {
+        const dot = [0, 0, 0];
+        dot[axis] = low[axis] + ((high[axis] - low[axis]) * step) / number;
+        dot[(axis + 1) % 3] = (corner & 1 ? high : low)[(axis + 1) % 3];
+        dot[(axis + 2) % 3] = (corner & 2 ? high : low)[(axis + 2) % 3];
+        dots.push(...dot);
+      }
+    }
+  }
+  return new Float32Array(dots);
+}
 
 function makeScene() {
   const canvas = document.getElementById("scene-canvas");
@@ -106,6 +133,15 @@ function makeScene() {
   cloud.frustumCulled = false;
   const scene = new THREE.Scene();
   scene.add(cloud);
+  const box = new THREE.Points(new THREE.BufferGeometry(), new THREE.ShaderMaterial({
+    uniforms: { pixels: uniforms.pixels },
+    vertexShader: BOX_VERTEX_SHADER,
+    fragmentShader: BOX_FRAGMENT_SHADER,
+    depthTest: false,
+  }));
+  box.frustumCulled = false;
+  box.visible = false;
+  scene.add(box);
 
   const camera = new THREE.PerspectiveCamera(45, 1, radius / 500, radius * 20);
   camera.up.set(0, 0, 1);
@@ -160,6 +196,20 @@ function makeScene() {
     controls.update();
     ask();
   }
+  // From where one looks now, but at a box, and so near that it fills the view.
+  function visit(from, to) {
+    const [low, high] = [from, to].map((corner) =>
+      corner.map((value, axis) => value - facts.low[axis] - centre[axis]));
+    const toward = camera.position.clone().sub(controls.target).normalize();
+    const size = Math.hypot(...high.map((end, axis) => end - low[axis]));
+    const distance = (1.3 * size) / Math.min(1, camera.aspect);
+    controls.target.set(...high.map((end, axis) => (end + low[axis]) / 2));
+    camera.position.copy(controls.target).addScaledVector(toward, Math.max(distance, 3));
+    controls.update();
+    box.geometry.setAttribute("position", new THREE.BufferAttribute(boxDots(low, high, 200), 3));
+    box.visible = true;
+    ask();
+  }
   function turn(around, up) {
     const offset = camera.position.clone().sub(controls.target);
     const length = offset.length();
@@ -201,6 +251,7 @@ function makeScene() {
   const oblique = () => (depth > width ? lookFrom(1.4, -0.5, 1.0) : lookFrom(-0.5, -1.4, 1.0));
   oblique();
   return {
+    visit,
     update() {
       uniforms.code.value = report.state.code;
       uniforms.shown.value = KINDS.map((kind) => (report.state[kind] ? 1 : 0));

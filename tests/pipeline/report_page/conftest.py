@@ -29,15 +29,24 @@ def street() -> np.ndarray:
     return np.concatenate([floor, *walls, pillar, trail]) + noise
 
 
-@pytest.fixture(scope="module")
+BY_EVIDENCE = ["removal.decision=auto", "removal.confidence=0.3"]
+
+
+@pytest.fixture(scope="session")
 def cleaned(tmp_path_factory):
-    """The output folders of the same map, of a nasty name, cleaned as one tile and as several."""
+    """The output folders of the same map, of a nasty name, cleaned in several ways."""
     folder = tmp_path_factory.mktemp("page")
     np.save(folder / "map.npy", street())
     (folder / "map.npy").rename(folder / NASTY_NAME)
     outputs = {}
-    for name, tile in (("whole", 1_000_000), ("tiled", 5_000)):
+    for name, tile, more in (
+        ("whole", 1_000_000, []),
+        ("tiled", 5_000, []),
+        ("judged", 1_000_000, BY_EVIDENCE),
+        ("judged tiled", 12_000, BY_EVIDENCE),
+    ):
         settings = ["clustering.count=3", f"tiling.max_points={tile}", "execution.cluster=none"]
+        settings += more
         observer = StageObserver(LogDisplay())
         observer.warn("a warning with <b>bold</b> words")
         configuration = load_configuration(None, [*settings, "neighbours.k=30"])

@@ -6,9 +6,10 @@ import pytest
 import dynahull
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
+from pipeline.places import DecisionSums
 from pipeline.report import ClusterReport
 from pipeline.report_page import sample as sample_module
-from pipeline.report_page.amounts import NEVER, removal_amounts
+from pipeline.report_page.amounts import NEVER, confidence_amounts, removal_amounts
 from pipeline.report_page.encoding import AMOUNT_CODES, NEVER_CODE, encode
 from pipeline.report_page.sample import MapSample
 
@@ -16,7 +17,8 @@ from pipeline.report_page.sample import MapSample
 def cleaned(points, removal):
     parameters = {"removal": removal, "ground": {"method": "none"}, "neighbours": {"k": 20}}
     result = dynahull.clean(points, MethodParameters.of(parameters))
-    sample = MapSample.of_map(points, result.labels, result.cluster, result.density)
+    columns = (result.labels, result.cluster, result.density, result.score)
+    sample = MapSample.of_map(points, *columns)
     clusters = [ClusterReport.of(cluster) for cluster in result.clusters]
     section = MethodParameters.of(parameters).removal.model_dump()
     return result, sample, clusters, section
@@ -113,6 +115,29 @@ def test_rounding_never_moves_a_point_across_the_runs_own_setting(room):
     places = np.frombuffer(base64.b64decode(encoded.arrays["places"]), "<u2").reshape(-1, 3)
     low, span = np.array(encoded.facts["low"]), np.array(encoded.facts["span"])
     assert np.abs(low + places / 65_535 * span - sample.xyz).max() <= span.max() / 65_535
+
+
+@pytest.mark.parametrize("confidence", [0.3, 0.505, 0.8])
+def test_other_confidences_take_what_a_run_with_them_takes(room, confidence):
+    removal = {"decision": "auto", "confidence": confidence}
+    result, sample, clusters, _ = cleaned(room, removal)
+    decision = DecisionSums.of(room, result.score, result.reason, confidence).decision()
+    amounts = confidence_amounts(sample, clusters, confidence, decision)
+    assert ((amounts.removed_from <= amounts.own) == (result.labels == Label.DYNAMIC)).all()
+    facts = encode(sample, amounts)
+    codes = np.frombuffer(base64.b64decode(facts.arrays["amounts"]), "<u2")
+    own = facts.facts["own_code"]
+    assert ((codes <= own) == (result.labels == Label.DYNAMIC)).all()
+    for other in (5, 37, 95):
+        again, *_ = cleaned(room, {"decision": "auto", "confidence": other / 100})
+        place = round((100 - other) / amounts.step)
+        gone = again.labels == Label.DYNAMIC
+        assert amounts.removed_points[place] == gone.sum()
+        shown = codes <= (100 - other) * AMOUNT_CODES
+        # Half a code at either side of the cut is all that can be off.
+        off = np.abs(result.score[shown != gone] - other / 100)
+        assert (off <= 2 / AMOUNT_CODES / 100).all()
+    assert amounts.removed_points[-1] == len(room)
 
 
 def test_a_point_far_away_does_not_shrink_the_map(room):

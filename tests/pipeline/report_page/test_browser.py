@@ -161,8 +161,65 @@ def test_without_webgl_it_says_so_and_the_rest_works(opened, dynamic):
     assert page.heard == []
 
 
+@pytest.mark.parametrize("name", ["tiled", "judged tiled"])
 @pytest.mark.parametrize("width", [360, 820, 1280])
-def test_nothing_sticks_out_at_the_side(opened, width):
-    page = opened("tiled", width=width)
+def test_nothing_sticks_out_at_the_side(opened, width, name):
+    page = opened(name, width=width)
     settle(page)
     assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("name", ["judged", "judged tiled"])
+def test_by_evidence_the_slider_is_the_confidence(opened, cleaned, name):
+    report = json.loads((cleaned[name] / "run.json").read_text(encoding="utf-8"))
+    page = opened(name)
+    assert removed_count(page) == report["counts"]["dynamic"]
+    assert page.inner_text("#amount-value") == "0.3"
+    before = ink(page, "top-before")[1]
+    page.fill("#amount", "0.15")
+    assert removed_count(page) == report["counts"]["dynamic"] + report["uncertain_points"]
+    assert "would be removed" in page.inner_text(".answer")
+    assert page.inner_text("#settings") == "--set removal.confidence=0.15"
+    assert ink(page, "top-before")[1] > before
+    page.fill("#amount", "0.95")
+    assert removed_count(page) < report["counts"]["dynamic"]
+    page.click("#reset")
+    assert removed_count(page) == report["counts"]["dynamic"]
+    assert page.inner_text("#settings") == "--set removal.confidence=0.3"
+    assert ink(page, "top-before")[1] == before
+    assert page.heard == []
+
+
+def test_scores_are_a_colour_of_their_own(opened):
+    page = opened("judged")
+    picture = "() => document.getElementById('scene-canvas').toDataURL()"
+    seen = set()
+    for colour in ("0", "2", "4"):
+        page.select_option("#colour", colour)
+        settle(page)
+        seen.add(page.evaluate(picture))
+    assert len(seen) == 3
+
+
+def test_a_place_is_framed_when_it_is_clicked(opened):
+    page = opened("judged")
+    for kind in ("static", "removed", "ground"):
+        page.uncheck(f"#show-{kind}")
+    assert ink(page, "scene-canvas")[0] == 0
+    before = page.inner_text("#place-value")
+    page.fill("#place", "0")
+    page.click('[data-place="1"]')
+    assert ink(page, "scene-canvas")[0] > 100
+    assert page.inner_text("#place-value") != before
+    page.check("#show-removed")
+    assert ink(page, "scene-canvas")[1] > 0
+    assert page.heard == []
+
+
+def test_without_webgl_a_place_is_shown_in_the_sections(opened):
+    page = opened("judged", browser="no webgl")
+    page.fill("#place", "0")
+    before = page.inner_text("#place-value")
+    page.click('[data-place="1"]')
+    assert page.inner_text("#place-value") != before
+    assert page.heard == []

@@ -51,6 +51,36 @@ def read(page):
     return reader
 
 
+def test_the_page_by_evidence_does_not_depend_on_how_the_map_is_cut(cleaned):
+    whole, tiled = page_of(cleaned["judged"]), page_of(cleaned["judged tiled"])
+    for name in ("places", "amounts", "labels", "clusters", "densities"):
+        assert array(whole, name) == array(tiled, name)
+    assert facts(whole) == facts(tiled)
+    assert facts(whole)["confidence"] == 0.3
+    assert facts(whole)["removed_points"][70] == facts(whole)["removed"] > 0
+
+
+@pytest.mark.parametrize("name", ["judged", "judged tiled"])
+def test_the_places_are_in_a_table_that_says_why(cleaned, name):
+    report = json.loads((cleaned[name] / "run.json").read_text(encoding="utf-8"))
+    page = page_of(cleaned[name])
+    words = " ".join(read(page).words)
+    assert report["places"]
+    numbers = [int(number) for number in re.findall(r'data-place="(\d+)"', page)]
+    assert numbers == [place["number"] for place in report["places"]]
+    assert f"{report['places'][0]['points']:,}" in words
+    assert report["places"][0]["reasons"][0]["words"] in words
+    assert f"{report['uncertain_points']:,} points are uncertain and kept" in words
+    assert f"removed in {report['place_count']} place" in words
+
+
+def test_where_no_evidence_was_asked_for_there_are_no_places(cleaned):
+    page = page_of(cleaned["whole"])
+    assert "data-place=" not in page
+    assert '<option value="4">' not in page
+    assert facts(page)["confidence"] is None
+
+
 @pytest.mark.parametrize("name", ["whole", "tiled"])
 def test_the_figures_are_those_of_run_json(cleaned, name):
     report = json.loads((cleaned[name] / "run.json").read_text(encoding="utf-8"))

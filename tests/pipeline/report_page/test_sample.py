@@ -15,6 +15,7 @@ def whole_map(count: int) -> MapSample:
         rng.integers(0, 5, count).astype(np.uint8),
         rng.integers(-1, 5, count).astype(np.int32),
         rng.uniform(size=count),
+        rng.uniform(size=count).astype(np.float32),
     )
 
 
@@ -65,10 +66,12 @@ def test_invalid_points_are_not_shown():
     points = np.zeros((3, 3))
     points[1] = np.nan
     labels = np.array([Label.STATIC, Label.INVALID, Label.DYNAMIC], np.uint8)
-    sample = MapSample.of_map(points, labels, np.zeros(3, np.int32), np.ones(3))
+    scores = np.full(3, 0.5, np.float32)
+    sample = MapSample.of_map(points, labels, np.zeros(3, np.int32), np.ones(3), scores)
     assert sample.rows.tolist() == [0, 2]
     assert sample.total == 3
-    parts = MapSample.of_parts(3, [MapSample(3, np.arange(3), points, labels, labels, np.ones(3))])
+    part = MapSample(3, np.arange(3), points, labels, labels, np.ones(3), scores)
+    parts = MapSample.of_parts(3, [part])
     assert parts.rows.tolist() == [0, 2]
 
 
