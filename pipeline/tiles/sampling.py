@@ -11,7 +11,7 @@ from pipeline.tiles.ground import SHOWN_NAMES
 from pipeline.tiles.job import JOB_FILE, Job
 from pipeline.tiles.scoring import first_cluster
 
-_STAGES_OF_A_TILE = ("ground", "density", "label")
+_STAGES_OF_A_TILE = ("ground", "density", "evidence", "label")
 
 
 def shown_points(
