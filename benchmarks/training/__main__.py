@@ -1,6 +1,6 @@
 """Train the model of the evidence from simulated scenes alone, and say how well it does.
 
-    python -m benchmarks.training --out dynahull/evidence/model.json [--seeds 160] [--keep FOLDER]
+    python -m benchmarks.training --out dynahull/evidence/model.json [--seeds 340] [--keep FOLDER]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
@@ -28,7 +28,7 @@ def main() -> None:
     """Make maps, judge what is left out, and write the model."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, default=160)
+    parser.add_argument("--seeds", type=int, default=340)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
@@ -49,7 +49,7 @@ def main() -> None:
         _print_reliability(judged)
         if arguments.plot:
             _plot(judged, arguments.plot)
-        print(*ablation(training), sep="\n")
+        print(*ablation(training, arguments.workers), sep="\n")
         stored = {
             "first": fit_first(training.lessons, options),
             "second": fit_second(training.second, options),

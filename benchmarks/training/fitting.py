@@ -93,6 +93,10 @@ class Lesson:
             np.concatenate([part.weights for part in parts]),
         )
 
+    def every(self, step: int) -> "Lesson":
+        """Return some of the points."""
+        return Lesson(self.terms[::step], self.moved[::step], self.weights[::step])
+
 
 @dataclass(frozen=True, slots=True)
 class Training:

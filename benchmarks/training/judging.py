@@ -23,6 +23,7 @@ from dynahull.evidence.terms import TERMS
 
 _EDGES = np.array([0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 _STEPS = 200
+_ABLATED_EACH = 5
 _STILL = 0.0002
 _FEW = 0.01
 """Shares of moving points: below the one nothing moves, and from the other on F1 is asked for."""
@@ -159,10 +160,10 @@ def reliability(judged: Sequence[Judged]) -> list[tuple[float, float, int]]:
     return found
 
 
-def ablation(training: Training) -> Iterator[str]:
+def ablation(training: Training, workers: int) -> Iterator[str]:
     """Yield what each term earns: the loss of F1, in points, when its values are shuffled.
 
-    Over the sampled points of all maps of a fold, by the first round that has not seen the fold.
+    Over some points of all maps of a fold, by the first round that has not seen the fold.
     """
     yield f"{'term':<18}" + "".join(f"{kinds[0]:>11}" for kinds in FOLDS) + f"{'mean':>8}"
     lessons = [
@@ -174,11 +175,11 @@ def ablation(training: Training) -> Iterator[str]:
         for fold in range(len(FOLDS))
     ]
     present = [
-        (Forest.of(stored), Lesson.joined(of_fold))
+        (Forest.of(stored), Lesson.joined(of_fold).every(_ABLATED_EACH))
         for stored, of_fold in zip(training.first, lessons, strict=True)
         if of_fold
     ]
-    whole = [_f1(forest, lesson, lesson.terms) for forest, lesson in present]
+    whole = [_f1(forest, lesson, lesson.terms, workers) for forest, lesson in present]
     random = np.random.default_rng(0)
     rows = []
     for number, name in enumerate(TERMS):
@@ -186,14 +187,14 @@ def ablation(training: Training) -> Iterator[str]:
         for (forest, lesson), full in zip(present, whole, strict=True):
             shuffled = lesson.terms.copy()
             shuffled[:, number] = random.permutation(shuffled[:, number])
-            earned.append(full - _f1(forest, lesson, shuffled))
+            earned.append(full - _f1(forest, lesson, shuffled, workers))
         rows.append((float(np.mean(earned)), name, earned))
     for mean, name, earned in sorted(rows, reverse=True):
         yield f"{name:<18}" + "".join(f"{each:>11.1f}" for each in earned) + f"{mean:>8.1f}"
 
 
-def _f1(forest: Forest, lesson: Lesson, terms: NDArray[np.float32]) -> float:
-    removed = forest.log_odds(terms) > 0
+def _f1(forest: Forest, lesson: Lesson, terms: NDArray[np.float32], workers: int) -> float:
+    removed = forest.log_odds(terms, workers) > 0
     weights = lesson.weights
     hit = weights[removed & lesson.moved].sum()
     return float(200 * hit / max(weights[removed].sum() + weights[lesson.moved].sum(), 1e-9))

@@ -12,7 +12,7 @@ FLOOR_TERMS = ("height", "aloft", "over", "under", "ground_seen", "ground_near")
 occupied above it, in nine columns, and below it, in the point's own; ground points beneath against
 those around; ground points in an area of the neighbourhood's own size."""
 
-PEOPLE = 2.0
+PEOPLE = np.float32(2.0)
 """Metres: what is higher is seldom part of a person."""
 
 
@@ -72,8 +72,9 @@ def _floor_terms(
                 under += 1
         beneath = _ground_about(_cell(x, 0.2), _cell(y, 0.2), _cell(floor, 0.2), small)
         about = _ground_about(_cell(x, 0.8), _cell(y, 0.8), _cell(floor, 0.8), large)
-        terms[p, 0] = min(height[p], PEOPLE)
-        terms[p, 1] = max(height[p] - PEOPLE, 0.0)
+        above_floor = np.float32(height[p])
+        terms[p, 0] = min(above_floor, PEOPLE)
+        terms[p, 1] = max(above_floor - PEOPLE, np.float32(0.0))
         terms[p, 2] = over
         terms[p, 3] = under
         terms[p, 4] = np.log2((beneath + 0.5) / (about / 16.0 + 0.5))

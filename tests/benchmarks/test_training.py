@@ -80,7 +80,7 @@ def test_training_finds_what_moved_on_kinds_left_out():
     assert [each.name for each in judged] == [each.name for each in maps]
     assert min(each.f1(0.5) for each in judged) > 60
     assert len(list(figures(judged, 0.5))) == 2 + len(FOLDS)
-    earned = list(ablation(training))
+    earned = list(ablation(training, workers=1))
     assert earned[1].startswith("density_1.2")
     EvidenceModel.of(
         {"first": training.first[0], "second": fit_second(training.second, SMALL)}
