@@ -15,6 +15,7 @@ from pipeline.cleaned_map import CleanedMap
 from pipeline.configuration import Configuration
 from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.machine import available_cores
+from pipeline.output_modes import PointScores
 from pipeline.outputs import OutputNames
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
@@ -67,7 +68,9 @@ def clean_in_memory(
         collection,
         output,
         result.labels,
-        result.density,
+        PointScores(
+            result.density, result.score if configuration.removal.weighs_evidence else None
+        ),
         names,
         staging,
         observer,
