@@ -85,8 +85,8 @@ def write_maps(
     observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
     for index in streams:
         rows = slice(first_rows[index], first_rows[index + 1])
-        of_file = None if scores is None else scores.of(rows)
-        mode = mode_of(collection.readers[index], output, labels[rows], of_file)
+        own = None if scores is None else scores.of(rows)
+        mode = mode_of(collection.readers[index], output, labels[rows], own)
         batches = mode.reader.batches(BATCH) if read is None else read(index)
         write_stream(mode, batches, outputs[index], observer.advance, ahead)
     for reader, of_file in zip(collection.readers, outputs, strict=True):
