@@ -11,7 +11,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from dynahull.algorithm import clean
-from dynahull.checking import as_array, remedy
+from dynahull.checking import as_array, cloud_points, remedy
 from dynahull.clustering import Clusters
 from dynahull.density import SMALLEST_CLUSTER, reference_densities
 from dynahull.errors import InvalidParametersError, InvalidPointsError
@@ -181,6 +181,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
 
     def _checked(self, given: ArrayLike, **wanted: Any) -> NDArray[np.float64]:
         """Return points as scikit-learn wants them; what is no array is refused at once."""
+        given = cloud_points(given)
         if not issparse(given):  # whose error is scikit-learn's own
             given = as_array(given, "X", "an (n_samples, 3) array")
         try:
