@@ -28,6 +28,7 @@ from dynahull.removal import Removal, remove_least_dense, remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
 from dynahull.strays import Outskirts, is_at_origin, warn_of_strays
+from dynahull.warn import warn_of_clusters, warn_of_ground
 
 
 class SetAside(NamedTuple):
@@ -62,7 +63,7 @@ def clean(
 
     Parameters
     ----------
-    points : (N, 3) array_like
+    points : (N, 3) array_like, or a point cloud of Open3D
         The map, in metres; NaN and infinite coordinates are allowed and labelled invalid.
     parameters : MethodParameters, dict or str, optional
         All parameters, or the name of a ready configuration (`"paper"`, `"auto"`, `"indoor"`,
@@ -107,14 +108,12 @@ def clean(
     labels = _first_labels(coordinates, noise, parameters.neighbours.k, observer)
     seen = labels == Label.STATIC
     aside = set_ground_aside(coordinates, seen, parameters, classes, observer, threads=threads)
+    total = int(np.count_nonzero(seen))
+    warn_of_ground(int(np.count_nonzero(aside.ground)), total, parameters.ground.method, observer)
     rows = np.flatnonzero(seen & ~aside.ground & ~aside.above)
-    clusters = find_clusters(
-        coordinates.take(rows, axis=0), rows, int(np.count_nonzero(seen)), parameters, observer
-    )
+    clusters = find_clusters(coordinates.take(rows, axis=0), rows, total, parameters, observer)
     membership = _membership(clusters, coordinates, rows, threads)
-    warn_of_clusters(
-        [len(members) for members in membership], parameters.clustering.count, observer
-    )
+    warn_of_clusters([len(members) for members in membership], parameters, observer)
     densities, spreads = _densities(coordinates, membership, parameters, threads, observer)
     percentages = removal_percentages(
         [len(members) for members in membership],
@@ -218,30 +217,6 @@ def find_clusters(
     clusters = fit_clusters(points[sample], parameters.clustering)
     observer.advance(len(points))
     return clusters
-
-
-def warn_of_clusters(counts: Sequence[int], wanted: int, observer: Observer) -> None:
-    """Say what is unusual about the clusters of a map.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        N_i, points of each cluster.
-    wanted : int
-        Clusters asked for.
-    observer : Observer
-    """
-    if not sum(counts):
-        observer.warn("no point is left after the ground: nothing was scored")
-    elif len(counts) < wanted:
-        observer.warn(
-            f"{wanted} clusters asked for, {len(counts)} made: there are no more distinct points"
-        )
-    for index, count in enumerate(counts):
-        if count == 0:
-            observer.warn(f"cluster {index} is empty: nothing to score in it")
-        elif count < SMALLEST_CLUSTER:
-            observer.warn(f"cluster {index} has {count} points: too few for a hull, kept")
 
 
 def _membership(

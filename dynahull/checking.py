@@ -1,5 +1,6 @@
 """What is given to the method, checked: each fault ends in one line that says what to pass."""
 
+import sys
 from collections.abc import Iterable, Iterator
 from numbers import Number
 from typing import Any
@@ -21,7 +22,7 @@ _REMEDIES = {
     "points": "numpy.asarray of its .points",
     "toarray": "its .toarray()",
 }
-"""What to pass of objects that have an attribute: of laspy, PyTorch, Open3D, SciPy's sparse."""
+"""What to pass of objects that have an attribute: of laspy, PyTorch, PyVista, SciPy's sparse."""
 
 _TOLD = ("stage", "advance", "warn")
 
@@ -30,7 +31,7 @@ _LONGEST = 200
 
 
 def checked_points(points: ArrayLike) -> NDArray[np.float64]:
-    """Return points as a C-ordered (N, 3) float64 array.
+    """Return points, or those of an Open3D cloud, as a C-ordered (N, 3) float64 array.
 
     What is masked becomes NaN, and so an invalid point.
 
@@ -39,7 +40,7 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
     InvalidPointsError
         When they are anything else.
     """
-    array = as_array(points, "points", "an (N, 3) array")
+    array = as_array(cloud_points(points), "points", "an (N, 3) array")
     if array.dtype.names is not None:
         raise InvalidPointsError(
             "points: expected an (N, 3) array, found one with the fields "
@@ -57,6 +58,22 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
     if isinstance(array, np.ma.MaskedArray):
         array = np.ma.filled(array.astype(np.float64), np.nan)
     return np.ascontiguousarray(array, np.float64)
+
+
+def cloud_points(given: Any) -> Any:
+    """Return the points of an Open3D cloud, of either kind; all else as it is.
+
+    Whoever has such a cloud has imported Open3D: nobody else is kept waiting for it.
+    """
+    open3d = sys.modules.get("open3d")
+    if open3d is None:
+        return given
+    if isinstance(given, open3d.geometry.PointCloud):
+        return np.asarray(given.points)
+    if isinstance(given, open3d.t.geometry.PointCloud):
+        known = "positions" in given.point
+        return given.point.positions.cpu().numpy() if known else np.empty((0, 3))
+    return given
 
 
 def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:

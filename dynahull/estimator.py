@@ -1,5 +1,6 @@
 """The method as a scikit-learn outlier detector: ghosts are the outliers of a map."""
 
+from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -10,7 +11,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from dynahull.algorithm import clean
-from dynahull.checking import as_array, remedy
+from dynahull.checking import as_array, cloud_points, remedy
 from dynahull.clustering import Clusters
 from dynahull.density import SMALLEST_CLUSTER, reference_densities
 from dynahull.errors import InvalidParametersError, InvalidPointsError
@@ -35,6 +36,13 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         maps, so it is off unless asked for.
     random_state : int, RandomState or None, default=0
         Seed of the clustering.
+    decision : {"paper", "auto"}, default="paper"
+        Whether a share of each cluster goes (Eq. 1), or what the evidence says moved.
+    confidence : float, default=0.5
+        Of `auto`: the least probability of having moved that goes.
+    configuration : str, MethodParameters, mapping or None, default=None
+        What `dynahull.clean` takes as `parameters`, such as `"auto"`, in place of all others
+        here: the labels are those of `clean`.
 
     Attributes
     ----------
@@ -42,6 +50,8 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         1 for points that stay, -1 for ghosts.
     density_ : (n_samples,) float64 array
         Points per cubic metre; NaN for ground and for clusters of fewer than four points.
+    score_ : (n_samples,) float32 array
+        Probability of having moved, by the evidence; NaN where not scored, or not weighed.
     cluster_ : (n_samples,) int32 array
         Cluster of every point, -1 for ground.
     cluster_centers_ : (n_clusters_, 3) float64 array
@@ -71,6 +81,9 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         threshold: Literal["rank", "stepped"] = "rank",
         ground: Literal["none", "slope", "csf"] = "none",
         random_state: int | np.random.RandomState | None = 0,
+        decision: Literal["paper", "auto"] = "paper",
+        confidence: float = 0.5,
+        configuration: str | MethodParameters | Mapping[str, Any] | None = None,
     ) -> None:
         self.k = k
         self.n_clusters = n_clusters
@@ -79,6 +92,9 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         self.threshold = threshold
         self.ground = ground
         self.random_state = random_state
+        self.decision = decision
+        self.confidence = confidence
+        self.configuration = configuration
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: N803 (scikit-learn's name)
         """Label every point of a map.
@@ -101,13 +117,15 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
                 f"X: expected 3 features (x, y, z), found {points.shape[1]} feature(s)"
                 f"{remedy(points.shape, 'X')}"
             )
-        result = clean(points, self._parameters())
+        parameters = self._parameters()
+        result = clean(points, parameters)
         self.labels_ = np.where(result.kept, 1, -1)
         self.density_ = result.density
+        self.score_ = result.score
         self.cluster_ = result.cluster
         self.cluster_centers_ = np.array([cluster.centroid for cluster in result.clusters])
         self.removal_percentages_ = result.removal_percentages
-        self._points = points
+        self._points, self._neighbours = points, parameters.neighbours.k
         return self
 
     def fit_predict(self, X: ArrayLike, y: None = None, **kwargs: Any) -> NDArray[np.int64]:  # noqa: N803
@@ -154,12 +172,16 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
             members = np.flatnonzero(self.cluster_ == cluster)
             if len(members) >= SMALLEST_CLUSTER:
                 scores[nearest == cluster] = reference_densities(
-                    self._points[members], members, self.k, centres=points[nearest == cluster]
+                    self._points[members],
+                    members,
+                    self._neighbours,
+                    centres=points[nearest == cluster],
                 )
         return scores
 
     def _checked(self, given: ArrayLike, **wanted: Any) -> NDArray[np.float64]:
         """Return points as scikit-learn wants them; what is no array is refused at once."""
+        given = cloud_points(given)
         if not issparse(given):  # whose error is scikit-learn's own
             given = as_array(given, "X", "an (n_samples, 3) array")
         try:
@@ -177,6 +199,8 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
             raise InvalidParametersError(f"random_state: {error}") from error
 
     def _parameters(self) -> MethodParameters:
+        if self.configuration is not None:
+            return MethodParameters.chosen(self.configuration, {})
         return MethodParameters.of(
             {
                 "ground": {"method": self.ground},
@@ -186,6 +210,8 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
                     "min_percent": self.min_percent,
                     "max_percent": self.max_percent,
                     "threshold": self.threshold,
+                    "decision": self.decision,
+                    "confidence": self.confidence,
                 },
             }
         )

@@ -108,7 +108,8 @@ class OutputParameters(BaseModel):
     mode: Literal["split", "label"] = Field(
         "split",
         description="`split`: what stays and what goes, in a file each. `label`: all points in one "
-        "file, with the fields `label` and `density`, and LAS classes by `output.classes`.",
+        "file, with the fields `label` and `density`, `score` where evidence is weighed, and LAS "
+        "classes by `output.classes`.",
     )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
@@ -123,7 +124,7 @@ class OutputParameters(BaseModel):
         description="`html`: write report.html, a page that shows what the run did, offline.",
     )
     labels: bool = Field(
-        False, description="Write labels.parquet: label, cluster and density of every point."
+        False, description="Write labels.parquet: label, cluster, density and score of every point."
     )
     classes: ClassParameters = ClassParameters()
 

@@ -18,6 +18,7 @@ from pipeline.configuration import Configuration
 from pipeline.decision import Decision
 from pipeline.decoded import MOST_KEPT, read_map
 from pipeline.machine import available_cores
+from pipeline.output_modes import PointScores
 from pipeline.outputs import OutputNames
 from pipeline.places import DecisionSums
 from pipeline.progress import StageObserver
@@ -74,7 +75,9 @@ def clean_in_memory(
         collection,
         output,
         result.labels,
-        result.density,
+        PointScores(
+            result.density, result.score if configuration.removal.weighs_evidence else None
+        ),
         names,
         staging,
         observer,

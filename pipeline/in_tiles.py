@@ -18,7 +18,7 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.labelling import gather_decision
 from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
-from pipeline.tiles.writing import BATCH
+from pipeline.tiles.writing import BATCH, kept_scores
 from pipeline.workers import workers_for
 from pipeline.write_results import write_maps
 from tiling.formats import PointBatch
@@ -59,7 +59,7 @@ def clean_in_tiles(
             collection,
             output,
             labels,
-            density,
+            kept_scores(job),
             names,
             staging,
             observer,

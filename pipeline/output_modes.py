@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -9,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from pipeline.configuration import OutputParameters
+from pipeline.configuration import Configuration, OutputParameters
 from pipeline.errors import ConfigurationError
 from tiling.formats import Field, MapReader, MapWriter, PointBatch
 from tiling.formats.parts import PartWriter
 
-LABEL, DENSITY, ORIGINAL_CLASS = "label", "density", "original_class"
+LABEL, DENSITY, SCORE, ORIGINAL_CLASS = "label", "density", "score", "original_class"
 """Fields of a labelled map."""
 
 _PREFIX = "dynahull_"
@@ -23,7 +24,30 @@ _PREFIX = "dynahull_"
 _AT_A_TIME = 1 << 22
 
 Labels = NDArray[np.uint8]
-Densities = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointScores:
+    """What a labelled map says of each point beside its label.
+
+    Attributes
+    ----------
+    density : (n,) float64 array
+        NaN where not scored.
+    score : (n,) float32 array or None
+        Probability of having moved; None where no evidence was weighed.
+    """
+
+    density: NDArray[np.float64]
+    score: NDArray[np.float32] | None
+
+    def of(self, rows: slice) -> "PointScores":
+        """Return those of some rows."""
+        return PointScores(self.density[rows], None if self.score is None else self.score[rows])
+
+    def columns(self) -> list[NDArray[Any]]:
+        """Return the values of the fields, in their order."""
+        return [np.asarray(each) for each in (self.density, self.score) if each is not None]
 
 
 class OutputFormat(Protocol):
@@ -88,15 +112,15 @@ class SplitMode(OutputMode):
 
 
 class LabelMode(OutputMode):
-    """All points in one output, with label and density, and with classes where the format has them.
+    """All points in one output, with labels and scores, and with classes where the format has them.
 
     Parameters
     ----------
     reader : MapReader
     labels : (n,) uint8 array
         Of the file's points.
-    density : (n,) float64 array
-        Of the file's points; NaN where not scored.
+    scores : PointScores
+        Of the file's points.
     classes : mapping of Label to int or None
         The class that points of each label get; None for their own.
     """
@@ -105,14 +129,14 @@ class LabelMode(OutputMode):
         self,
         reader: MapReader,
         labels: Labels,
-        density: Densities,
+        scores: PointScores,
         classes: dict[Label, int | None],
     ) -> None:
         self.reader = reader
-        self._extended = reader.extended(added_fields(reader))
+        self._extended = reader.extended(added_fields(reader, scores.score is not None))
         self.formats = (self._extended,)
         self._labels = labels
-        self._density = density
+        self._scores = scores
         self._kept = np.array([classes[label] is None for label in Label])
         self._classes = np.array([classes[label] or 0 for label in Label], np.uint8)
 
@@ -121,10 +145,10 @@ class LabelMode(OutputMode):
         return (len(rows),)
 
     def records(self, batch: PointBatch) -> tuple[Any]:
-        """Add label and density, and set the classes."""
+        """Add labels and scores, and set the classes."""
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         labels = np.asarray(self._labels[rows])
-        values: list[NDArray[Any]] = [labels, np.asarray(self._density[rows])]
+        values: list[NDArray[Any]] = [labels, *self._scores.of(rows).columns()]
         if batch.classification is None:
             return (self._extended.extend(batch, values),)
         classes = np.where(self._kept[labels], batch.classification, self._classes[labels])
@@ -137,8 +161,14 @@ def own_names(name: str) -> tuple[str, str]:
     return name, _PREFIX + name
 
 
-def added_fields(reader: MapReader) -> tuple[Field, ...]:
+def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
     """Return the fields that a labelled map has behind those of the input.
+
+    Parameters
+    ----------
+    reader : MapReader
+    with_score : bool
+        Whether evidence is weighed.
 
     Raises
     ------
@@ -146,10 +176,13 @@ def added_fields(reader: MapReader) -> tuple[Field, ...]:
         When the map has fields of these names already, with the prefix `dynahull_` and without.
     """
     taken = {field.name for field in reader.description.fields}
+    wanted = [(LABEL, "uint8"), (DENSITY, "float64")]
+    if with_score:
+        wanted.append((SCORE, "float32"))
+    if reader.description.has_classification:
+        wanted.append((ORIGINAL_CLASS, "uint8"))
     fields = []
-    for name, dtype in ((LABEL, "uint8"), (DENSITY, "float64"), (ORIGINAL_CLASS, "uint8")):
-        if name == ORIGINAL_CLASS and not reader.description.has_classification:
-            continue
+    for name, dtype in wanted:
         free = next((each for each in own_names(name) if each not in taken), None)
         if free is None:
             raise ConfigurationError(
@@ -160,7 +193,7 @@ def added_fields(reader: MapReader) -> tuple[Field, ...]:
     return tuple(fields)
 
 
-def check_mode(readers: Sequence[MapReader], output: OutputParameters) -> None:
+def check_mode(readers: Sequence[MapReader], configuration: Configuration) -> None:
     """Refuse, before any work, outputs that a file's format has no place for.
 
     Raises
@@ -170,10 +203,11 @@ def check_mode(readers: Sequence[MapReader], output: OutputParameters) -> None:
     MapFormatError
         When points of the file cannot have further fields.
     """
+    output = configuration.output
     if output.mode != "label":
         return
     for reader in readers:
-        reader.extended(added_fields(reader))
+        reader.extended(added_fields(reader, configuration.removal.weighs_evidence))
         description = reader.description
         for label, number in output.classes.of_labels().items():
             if not description.has_classification or number is None:
@@ -186,7 +220,7 @@ def check_mode(readers: Sequence[MapReader], output: OutputParameters) -> None:
 
 
 def mode_of(
-    reader: MapReader, output: OutputParameters, labels: Labels, density: Densities | None
+    reader: MapReader, output: OutputParameters, labels: Labels, scores: PointScores | None
 ) -> OutputMode:
     """Return how the points of a file go into its outputs.
 
@@ -196,10 +230,10 @@ def mode_of(
     output : OutputParameters
     labels : (n,) uint8 array
         Of the file's points.
-    density : (n,) float64 array or None
+    scores : PointScores or None
         Of the file's points, where `output.needs_scores`.
     """
     if output.mode == "split":
         return SplitMode(reader, labels)
-    assert density is not None  # asked for
-    return LabelMode(reader, labels, density, output.classes.of_labels())
+    assert scores is not None  # asked for
+    return LabelMode(reader, labels, scores, output.classes.of_labels())

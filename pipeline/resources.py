@@ -26,6 +26,9 @@ more than points, and the terms of a batch."""
 _LABELLED_BYTES = 10
 """A point of a labelled map, beyond those of the input: label, density, class."""
 
+_SCORE_BYTES = 4
+"""A point in either, where evidence is weighed."""
+
 _TABLE_BYTES = 10
 """A point in `labels.parquet`: nearly all of it the density, which does not compress."""
 
@@ -46,11 +49,12 @@ def is_one_tile(collection: MapCollection, configuration: Configuration) -> bool
 def output_size(collection: MapCollection, configuration: Configuration) -> int:
     """Return the bytes of the outputs of a run, about: the map again, and more."""
     output = configuration.output
+    score = _SCORE_BYTES if configuration.removal.weighs_evidence else 0
     each = 0
     if output.mode == "label":
-        each += _LABELLED_BYTES
+        each += _LABELLED_BYTES + score
     if output.labels:
-        each += _TABLE_BYTES
+        each += _TABLE_BYTES + score
     page = _PAGE_BYTES if output.report == "html" else 0
     again = sum(path.stat().st_size for path in collection.paths)
     return again + each * collection.point_count + page

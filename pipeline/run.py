@@ -89,7 +89,7 @@ def run(
         check_one_tile(collection, configuration)
     for note in _notes(collection):
         observer.warn(note)
-    check_mode(collection.readers, configuration.output)
+    check_mode(collection.readers, configuration)
     names = OutputNames.of(collection.readers, configuration.output.mode)
     wants_page = configuration.output.report == "html"
     results = names.all_files(configuration.output.labels, wants_page)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.configuration import OutputParameters
 from pipeline.errors import LostPointsError
-from pipeline.output_modes import mode_of
+from pipeline.output_modes import PointScores, mode_of
 from pipeline.outputs import OutputNames
 from pipeline.progress import StageObserver
 from pipeline.tiles.execution import Executor
@@ -30,7 +30,7 @@ def write_maps(
     collection: MapCollection,
     output: OutputParameters,
     labels: NDArray[np.uint8],
-    density: NDArray[np.float64] | None,
+    scores: PointScores | None,
     names: OutputNames,
     folder: Path,
     observer: StageObserver,
@@ -45,7 +45,7 @@ def write_maps(
     collection : MapCollection
     output : OutputParameters
     labels : (N,) uint8 array
-    density : (N,) float64 array or None
+    scores : PointScores or None
         There where the outputs are labelled.
     names : OutputNames
     folder : Path
@@ -85,8 +85,8 @@ def write_maps(
     observer.stage("write", sum(first_rows[index + 1] - first_rows[index] for index in streams))
     for index in streams:
         rows = slice(first_rows[index], first_rows[index + 1])
-        densities = None if density is None else density[rows]
-        mode = mode_of(collection.readers[index], output, labels[rows], densities)
+        own = None if scores is None else scores.of(rows)
+        mode = mode_of(collection.readers[index], output, labels[rows], own)
         batches = mode.reader.batches(BATCH) if read is None else read(index)
         write_stream(mode, batches, outputs[index], observer.advance, ahead)
     for reader, of_file in zip(collection.readers, outputs, strict=True):

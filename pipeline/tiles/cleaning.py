@@ -9,12 +9,12 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.algorithm import warn_of_clusters
 from dynahull.clustering import Clusters, sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
 from dynahull.strays import OUTSKIRTS_NAMES, Outskirts, Strays
+from dynahull.warn import warn_of_clusters, warn_of_ground
 from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
@@ -87,7 +87,10 @@ def clean_tiles(
         observer.warn(note)
     cut_into_pieces(job, executor, observer, "ground")
     tiles = job.store.layout.counts.tolist()
-    exhaust(do_stage(job, executor, observer, "ground", tiles))
+    ground = sum(
+        report.counts[1] for _, report in do_stage(job, executor, observer, "ground", tiles)
+    )
+    warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
     with ThreadPoolExecutor(1) as thread:
         thread.submit(remove_pieces, job)  # one core has time for it
         find_clusters(job, observer, fit)
@@ -256,8 +259,7 @@ def _rescaled(
     observer.stage("rescale", len(job.store.layout))
     removal = job.configuration.removal
     present = counts[counts >= 0].tolist()
-    wanted = job.configuration.clustering.count
-    warn_of_clusters(present, wanted, observer)
+    warn_of_clusters(present, job.configuration.method(), observer)
     k = job.configuration.neighbours.k
     percentages = removal_percentages(present, removal.min_percent, removal.max_percent, k)
     if job.configuration.clustering.scope == "tile":

@@ -38,7 +38,7 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
 
     Kept as well are those of its points that the clusters are fitted on, and those that the report
     shows. Where the memory does not suffice for the tile, `sides` x `sides` parts of it are done
-    one after the other.
+    one after the other. The report counts the ground-free points, and those of the ground.
     """
     chunk = _surroundings(job, tile)
     boxes = divided(region_of(job, tile), chunk.xyz, sides)
@@ -75,7 +75,8 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         shown = shown[is_sampled(core_rows, job.collection.point_count)]
         arrays |= {"shown_xyz": decided.xyz[shown], "shown_rows": decided.rows[shown]}
     job.work.save("ground", tile, **arrays)
-    return TaskReport(core_count, (len(own),))
+    ground = int(np.count_nonzero(arrays["core_labels"] == Label.GROUND))
+    return TaskReport(core_count, (len(own), ground))
 
 
 def _labelled(

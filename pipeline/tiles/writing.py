@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import LostPointsError, WorkError
-from pipeline.output_modes import OutputMode, mode_of
+from pipeline.output_modes import OutputMode, PointScores, mode_of
 from pipeline.tiles.ahead import made_ahead
 from pipeline.tiles.job import CREATING, Job
 from pipeline.tiles.rows import open_rows
@@ -284,10 +284,18 @@ def mode_of_file(job: Job, file: int) -> OutputMode:
     first_row = job.collection.first_rows[file]
     rows = slice(first_row, first_row + reader.description.point_count)
     labels = open_rows(job.rows_path("label"), np.uint8)[rows]
-    density = None
-    if output.needs_scores:
-        density = open_rows(job.rows_path("density"), np.float64)[rows]
-    return mode_of(reader, output, labels, density)
+    scores = kept_scores(job)
+    return mode_of(reader, output, labels, None if scores is None else scores.of(rows))
+
+
+def kept_scores(job: Job) -> PointScores | None:
+    """Return what was kept of the scores of all rows, in files; None where nobody asked."""
+    if not job.configuration.output.needs_scores:
+        return None
+    score = None
+    if job.configuration.removal.weighs_evidence:
+        score = open_rows(job.rows_path("score"), np.float32)
+    return PointScores(open_rows(job.rows_path("density"), np.float64), score)
 
 
 def finish_parts(job: Job, plan: OutputPlan) -> None:

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from sklearn.base import clone
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from dynahull import DynaHull, clean
-from dynahull.errors import InvalidPointsError
+from dynahull import DynaHull, MethodParameters, clean
+from dynahull.errors import InvalidParametersError, InvalidPointsError
+from dynahull.ready import READY
 
 OTHER_THAN_THREE = {
     "check_estimators_overwrite_params": 2,
@@ -68,6 +70,47 @@ def test_gives_what_clean_gives(points):
     np.testing.assert_array_equal(estimator.removal_percentages_, result.removal_percentages)
     assert estimator.cluster_centers_.shape == (3, 3)
     assert estimator.n_features_in_ == 3
+
+
+@pytest.fixture(scope="module")
+def room(points):
+    random = np.random.default_rng(1)
+    floor = np.column_stack([random.uniform(-1, 5, (3000, 2)), random.normal(-0.5, 0.01, 3000)])
+    return np.vstack([floor, points])
+
+
+OWN = {
+    "careful": {"removal": {"decision": "auto", "confidence": 0.9}, "neighbours": {"k": 20}},
+    "sections": {"removal": {"threshold": "stepped"}, "clustering": {"count": 2, "seed": 3}},
+    "a model": MethodParameters.of({"ground": {"method": "none"}, "neighbours": {"k": 30}}),
+}
+
+
+@pytest.mark.parametrize("name", [*READY, *OWN])
+def test_of_one_configuration_the_labels_are_those_of_clean(room, name):
+    configuration = OWN.get(name, name)
+    estimator = clone(DynaHull(configuration=configuration, k=4, max_percent=90))
+    result = clean(room, configuration)
+    np.testing.assert_array_equal(estimator.fit_predict(room) == 1, result.kept)
+    np.testing.assert_array_equal(estimator.score_, result.score)
+    assert estimator.get_params()["configuration"] == configuration
+    on_wall, density = estimator.score_samples(room[-660:-650]), result.density[-660:-650]
+    np.testing.assert_allclose(on_wall, density, rtol=1e-9)
+
+
+def test_evidence_is_a_decision_of_its_own(room):
+    estimator = DynaHull(k=20, ground="slope", decision="auto", confidence=0.3).fit(room)
+    result = clean(room, neighbours={"k": 20}, removal={"decision": "auto", "confidence": 0.3})
+    np.testing.assert_array_equal(estimator.labels_ == 1, result.kept)
+    assert np.isfinite(estimator.score_).sum() > 500
+    assert np.isnan(DynaHull(k=20).fit(room).score_).all()
+
+
+def test_a_configuration_that_is_none_is_refused(points):
+    with pytest.raises(InvalidParametersError, match="expected the name of a ready configuration"):
+        DynaHull(configuration="outdoors").fit(points)
+    with pytest.raises(InvalidParametersError, match="did you mean removal"):
+        DynaHull(configuration={"remove": {}}).fit(points)
 
 
 def test_a_fitted_point_scores_its_own_density(points):

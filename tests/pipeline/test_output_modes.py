@@ -15,7 +15,8 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import writing
 from tiling.errors import MapFormatError
-from tiling.formats import open_map
+from tiling.formats import Field, open_map
+from tiling.formats.field_values import field_values
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
@@ -96,27 +97,85 @@ def test_a_labelled_las_map_is_the_input_with_classes_label_and_density(tmp_path
     np.testing.assert_array_equal(after.classification, expected)
 
 
-@pytest.mark.parametrize("kind", [".las", ".laz", ".pcd", ".npy", ".parquet"])
-def test_tiles_make_the_bytes_that_one_tile_makes(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(writing, "BATCH", 300)
-    source = tmp_path / f"hall{kind}"
+def hall_file(path):
+    """Write the hall in the format that the name says."""
+    kind = path.suffix
     if kind in (".las", ".laz"):
-        las_file(source)
-    elif kind == ".npy":
-        np.save(source, hall())
+        return las_file(path)
+    if kind == ".npy":
+        np.save(path, hall())
+    elif kind == ".npz":
+        np.savez(path, **dict(zip("xyz", hall().T, strict=True)))
     elif kind == ".parquet":
-        pq.write_table(pa.table(dict(zip("xyz", hall().T, strict=True))), source)
+        pq.write_table(pa.table(dict(zip("xyz", hall().T, strict=True))), path)
+    elif kind == ".ply":
+        points = (hall() - [5e5, 4e6, 0]).astype("<f4")
+        properties = "".join(f"property float {axis}\n" for axis in "xyz")
+        text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}"
+        path.write_bytes(f"{text}end_header\n".encode() + points.tobytes())
     else:
-        points = hall().astype("<f4")
+        points = (hall() - [5e5, 4e6, 0]).astype("<f4")
         text = (
             "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {0}\nHEIGHT 1\nPOINTS {0}\n"
         )
-        source.write_bytes(f"{text.format(len(points))}DATA binary\n".encode() + points.tobytes())
+        path.write_bytes(f"{text.format(len(points))}DATA binary\n".encode() + points.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("kind", [".las", ".laz", ".pcd", ".npy", ".parquet"])
+def test_tiles_make_the_bytes_that_one_tile_makes(tmp_path, kind, monkeypatch):
+    monkeypatch.setattr(writing, "BATCH", 300)
+    source = hall_file(tmp_path / f"hall{kind}")
     for folder, tiles in (("one", ONE_TILE), ("many", TILES)):
         cleaned([source], tmp_path / folder, tiles)
     one, many = (tmp_path / folder / f"labelled{kind}" for folder in ("one", "many"))
     assert one.read_bytes() == many.read_bytes()
     assert open_map(one).description.point_count == len(hall())
+
+
+def score_of(path):
+    """Read the scores of a labelled hall."""
+    if path.suffix != ".ply":
+        return np.concatenate(list(field_values(path, "score"))).astype(np.float32)
+    record = [("x", "<f4", 3), ("label", "u1"), ("density", "<f8"), ("score", "<f4")]
+    return np.frombuffer(path.read_bytes().split(b"end_header\n", 1)[1], record)["score"]
+
+
+@pytest.mark.parametrize("kind", [".las", ".laz", ".pcd", ".ply", ".npz", ".parquet"])
+@pytest.mark.parametrize("tiles", [ONE_TILE, TILES])
+def test_where_evidence_is_weighed_the_score_is_there_too(tmp_path, kind, tiles, monkeypatch):
+    monkeypatch.setattr(writing, "BATCH", 300)
+    source = hall_file(tmp_path / f"hall{kind}")
+    cleaned([source], tmp_path / "out", "removal.decision=auto", tiles)
+    labelled = tmp_path / "out" / f"labelled{kind}"
+    fields = [field.name for field in open_map(source).description.fields]
+    found = open_map(labelled).description.fields[len(fields) :]
+    assert [field.name for field in found[:3]] == ["label", "density", "score"]
+    assert found[2] == Field("score", "float32")
+    wanted = pq.read_table(tmp_path / "out" / "labels.parquet")["score"].to_numpy()
+    assert np.isfinite(wanted).sum() > 1000
+    assert score_of(labelled).tobytes() == wanted.tobytes()
+
+
+def test_an_array_without_names_gets_a_column_of_scores(tmp_path):
+    source = hall_file(tmp_path / "hall.npy")
+    for folder, tiles in (("one", ONE_TILE), ("many", TILES)):
+        cleaned([source], tmp_path / folder, "removal.decision=auto", tiles)
+        table = pq.read_table(tmp_path / folder / "labels.parquet")
+        labelled = np.load(tmp_path / folder / "labelled.npy")
+        assert labelled.shape[1] == 6
+        np.testing.assert_array_equal(labelled[:, 5], table["score"].to_numpy())
+
+
+def test_a_field_called_score_is_left_to_the_user(tmp_path):
+    points = np.zeros(len(hall()), [("x", "f8"), ("y", "f8"), ("z", "f8"), ("score", "i4")])
+    points["x"], points["y"], points["z"] = hall().T
+    np.save(tmp_path / "hall.npy", points)
+    for decision, last in (("paper", "density"), ("auto", "dynahull_score")):
+        cleaned([tmp_path / "hall.npy"], tmp_path / decision, f"removal.decision={decision}")
+        labelled = np.load(tmp_path / decision / "labelled.npy")
+        assert labelled.dtype.names[3] == "score"
+        assert labelled.dtype.names[-1] == last
 
 
 def test_several_files_are_labelled_each(tmp_path):

@@ -1,0 +1,88 @@
+"""What a user is told of a map: where it is so, once, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from dynahull import MethodParameters, clean
+from dynahull.warn import warn_of_clusters, warn_of_ground
+
+
+class Listener:
+    def __init__(self):
+        self.warnings = []
+
+    def stage(self, name, total):
+        pass
+
+    def advance(self, points):
+        pass
+
+    def warn(self, message):
+        self.warnings.append(message)
+
+
+def said_of_clusters(counts, **removal):
+    listener = Listener()
+    parameters = MethodParameters.of({"clustering": {"count": len(counts)}, "removal": removal})
+    warn_of_clusters(counts, parameters, listener)
+    return listener.warnings
+
+
+def said_of_ground(ground, total, method="slope"):
+    listener = Listener()
+    warn_of_ground(ground, total, method, listener)
+    return listener.warnings
+
+
+def test_a_tiny_cluster_that_decides_about_the_others_is_named():
+    (warning,) = said_of_clusters([9_000, 10_000, 200, 8_000, 9_500])
+    assert "cluster 2 has 200 points, and half of all clusters 9,000 or more" in warning
+    # (8000 - 200) / (10000 - 200) of 15 percent, and 5 percent.
+    assert "takes 16.9 to 20.0 % of them" in warning
+    assert "clustering.seed or clustering.count" in warning
+
+
+@pytest.mark.parametrize(
+    ("counts", "removal"),
+    [
+        ([9_000, 10_000, 450, 8_000, 9_500], {}),
+        ([9_000, 100], {}),
+        ([9_000, 10_000, 70, 8_000, 9_500], {}),
+        ([9_000, 10_000, 200, 8_000, 9_500], {"decision": "auto"}),
+        ([9_000, 10_000, 200, 8_000, 9_500], {"min_percent": 20}),
+    ],
+    ids=["a twentieth", "two clusters", "fewer than k do not count", "evidence", "one share"],
+)
+def test_other_clusters_are_not(counts, removal):
+    assert said_of_clusters(counts, **removal) == []
+
+
+def test_hardly_any_ground_is_said_with_what_to_try():
+    (warning,) = said_of_ground(1_999, 100_000)
+    assert "1,999 of 100,000 points, ground.method slope" in warning
+    assert "try ground.method=csf, or none" in warning
+    (warning,) = said_of_ground(0, 10, "las_class")
+    assert "try ground.method=slope" in warning
+
+
+@pytest.mark.parametrize("case", [(2_000, 100_000), (0, 100_000, "none"), (0, 0)])
+def test_enough_ground_or_none_wanted_is_not_said(case):
+    assert said_of_ground(*case) == []
+
+
+def test_clean_counts_the_ground_among_the_points_that_take_part():
+    random = np.random.default_rng(0)
+    wall = random.uniform(size=(400, 3)) * [4, 0.02, 2]
+    classes = np.zeros(400, np.uint8)
+    classes[:7] = 2
+    for left_out, warned in ((0, True), (100, False)):
+        listener = Listener()
+        clean(
+            wall,
+            ground={"method": "las_class"},
+            classification=classes,
+            left_out=np.arange(400) >= 400 - left_out,
+            neighbours={"k": 8},
+            observer=listener,
+        )
+        assert any("hardly any ground" in each for each in listener.warnings) == warned
