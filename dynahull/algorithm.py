@@ -17,8 +17,7 @@ from dynahull.checking import (
 )
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, cluster_densities
-from dynahull.evidence.model import judge_points
-from dynahull.evidence.reasons import NO_REASON
+from dynahull.evidence.model import Judged, judge_points
 from dynahull.evidence.summaries import ScoredPoints
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
@@ -28,7 +27,14 @@ from dynahull.removal import Removal, remove_least_dense, remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
 from dynahull.strays import Outskirts, is_at_origin, warn_of_strays
-from dynahull.warn import warn_of_clusters, warn_of_ground
+from dynahull.warn import (
+    density_levels,
+    warn_of_clusters,
+    warn_of_densities,
+    warn_of_ground,
+    warn_of_sparse_map,
+    wide_neighbourhoods,
+)
 
 
 class SetAside(NamedTuple):
@@ -122,24 +128,16 @@ def clean(
         parameters.neighbours.k,
     )
     density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
-    score = np.full(len(coordinates), np.nan, np.float32)
-    reason = np.full(len(coordinates), NO_REASON, np.uint8)
     if parameters.removal.weighs_evidence:
-        observer.stage("evidence", len(rows))
-        spread = _scattered(
-            np.full((len(coordinates), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
-        )
-        scored = ScoredPoints(
-            coordinates.take(rows, axis=0), density[rows], spread[rows], aside.height[rows]
-        )
-        unscored = coordinates[aside.ground | aside.above]
-        judged = judge_points(scored, unscored, parameters.neighbours.k, threads)
-        score[rows], reason[rows] = judged.score, judged.reason
-        observer.advance(len(rows))
+        judged = _weighed(coordinates, rows, density, membership, spreads, aside, parameters,
+                          threads, observer)  # fmt: skip
         removals = [
-            remove_likely(score[members], parameters.removal.confidence) for members in membership
+            remove_likely(judged.score[members], parameters.removal.confidence)
+            for members in membership
         ]
     else:
+        judged = Judged.nothing(len(coordinates))
+        warn_of_densities(density_levels(density), observer)
         removals = [
             remove_least_dense(density[members], members, percentage, parameters.removal.threshold)
             for members, percentage in zip(membership, percentages, strict=True)
@@ -147,8 +145,8 @@ def clean(
     return CleaningResult(
         labels=_merged_labels(labels, aside, membership, removals),
         density=density,
-        score=score,
-        reason=reason,
+        score=judged.score,
+        reason=judged.reason,
         cluster=_scattered(
             np.full(len(coordinates), NO_CLUSTER, np.int32), membership, range(len(membership))
         ),
@@ -243,6 +241,34 @@ def _densities(
         for members in membership
     ]
     return [density for density, _ in found], [spread for _, spread in found]
+
+
+def _weighed(
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    density: NDArray[np.float64],
+    membership: Sequence[NDArray[np.int64]],
+    spreads: Sequence[NDArray[np.float32]],
+    aside: SetAside,
+    parameters: MethodParameters,
+    threads: int,
+    observer: Observer,
+) -> Judged:
+    """Weigh the evidence for each scored point, in rows; all others are not judged."""
+    observer.stage("evidence", len(rows))
+    spread = _scattered(
+        np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
+    )
+    scored = ScoredPoints(
+        points.take(rows, axis=0), density[rows], spread[rows], aside.height[rows]
+    )
+    warn_of_sparse_map(wide_neighbourhoods(scored.spread), len(rows), observer)
+    unscored = points[aside.ground | aside.above]
+    found = judge_points(scored, unscored, parameters.neighbours.k, threads)
+    judged = Judged.nothing(len(points))
+    judged.score[rows], judged.reason[rows] = found.score, found.reason
+    observer.advance(len(rows))
+    return judged
 
 
 def _merged_labels(

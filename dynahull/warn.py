@@ -6,7 +6,11 @@ In memory and over tiles the same numbers come to the same words.
 from collections.abc import Sequence
 from statistics import median
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dynahull.density import SMALLEST_CLUSTER
+from dynahull.evidence.summaries import logarithms
 from dynahull.parameters import MethodParameters, RemovalParameters
 from dynahull.progress import Observer
 from dynahull.rescale import removal_percentages, smallest_counted
@@ -16,6 +20,15 @@ LITTLE_GROUND = 0.02
 
 TINY = 20
 """A cluster is tiny with fewer points than one in so many of the median cluster's."""
+
+WIDE = 0.25
+"""Metres: a neighbourhood whose longest deviation is more is as wide as a person."""
+
+_LOWEST, _HIGHEST, _BINS_EACH = -40, 60, 8
+"""Logarithms to base 2 of densities that are told apart, and bins to an octave."""
+
+_PEAK, _POPULATION = 1.2, 0.005
+"""A second population has a peak so much above the valley, and such a share of the points."""
 
 _FEWEST_COMPARED = 3
 """Clusters; of fewer, the median says nothing."""
@@ -94,3 +107,66 @@ def _warn_of_tiny_cluster(
         f"{min(shares):.1f} to {max(shares):.1f} % of them; another clustering.seed or "
         "clustering.count may divide the map more evenly"
     )
+
+
+def density_levels(density: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Count finite densities by their logarithm, so that the counts of tiles add up, (800,)."""
+    known = density[np.isfinite(density) & (density > 0)]
+    level = np.floor((logarithms(known) - _LOWEST) * _BINS_EACH)
+    bins = (_HIGHEST - _LOWEST) * _BINS_EACH
+    return np.bincount(np.clip(level, 0, bins - 1).astype(np.int64), minlength=bins)
+
+
+def has_sparse_population(levels: NDArray[np.int64]) -> bool:
+    """Tell whether there is a second, sparser population below the mode of the densities.
+
+    Parameters
+    ----------
+    levels : (800,) int64 array
+        See `density_levels`.
+    """
+    smooth = np.convolve(levels, np.ones(5), mode="same")  # over half an octave
+    below = smooth[: int(smooth.argmax()) + 1]
+    # Of each bin as the valley: the peak before it, and the points up to it.
+    peak = np.maximum.accumulate(below)
+    rest = np.minimum.accumulate(below[::-1])[::-1]
+    enough = np.cumsum(levels)[: len(below)] >= _POPULATION * levels.sum()
+    return bool(((peak >= _PEAK * below) & (below == rest) & enough & (below < peak)).any())
+
+
+def warn_of_densities(levels: NDArray[np.int64], observer: Observer) -> None:
+    """Say that the densities show no second population, if so: Eq. 1 takes its share all the same.
+
+    Parameters
+    ----------
+    levels : (800,) int64 array
+        See `density_levels`.
+    observer : Observer
+    """
+    if levels.any() and not has_sparse_population(levels):
+        observer.warn(
+            "the densities show no second, sparser population: Eq. 1 takes its share of each "
+            "cluster, whether or not anything moved; -c auto takes what the evidence says"
+        )
+
+
+def wide_neighbourhoods(spread: NDArray[np.float32]) -> int:
+    """Count the points whose neighbours reach as wide as a person; see `reference_spreads`."""
+    return int(np.count_nonzero(spread[:, 2] > np.float32(WIDE)))
+
+
+def warn_of_sparse_map(wide: int, scored: int, observer: Observer) -> None:
+    """Say that a map is too sparse for a sure decision, if so.
+
+    Parameters
+    ----------
+    wide, scored : int
+        Points of `wide_neighbourhoods`, and all that are scored.
+    observer : Observer
+    """
+    if 2 * wide > scored:
+        observer.warn(
+            "the map is sparse, or was downsampled: the neighbours of most points reach as wide "
+            "as a person, and what moved is hard to tell; decide on the map as it was recorded, "
+            "before voxel filters, or ask for a higher removal.confidence"
+        )

@@ -19,7 +19,14 @@ from pathlib import Path
 
 from benchmarks.density import machine
 from benchmarks.training.fitting import FitOptions, fit_first, fit_second, train
-from benchmarks.training.judging import Judged, ablation, figures, judge, reliability
+from benchmarks.training.judging import (
+    Judged,
+    ablation,
+    by_confidence,
+    figures,
+    judge,
+    reliability,
+)
 from benchmarks.training.maps import training_maps
 from dynahull.parameters import RemovalParameters
 
@@ -45,17 +52,18 @@ def main() -> None:
         print(f"{len(maps)} maps, {points:,} scored points, {time.monotonic() - begun:.0f} s")
         training = train(maps, options, arguments.workers)
         judged = judge(training, options, arguments.workers)
-        print(*figures(judged, RemovalParameters().confidence), sep="\n")
+        print(*figures(judged, RemovalParameters().confidence), sep="\n", flush=True)
+        print(*by_confidence(judged), sep="\n")
         _print_reliability(judged)
         if arguments.plot:
             _plot(judged, arguments.plot)
-        print(*ablation(training, arguments.workers), sep="\n")
         stored = {
             "first": fit_first(training.lessons, options),
             "second": fit_second(training.second, options),
         }
         arguments.out.write_text(json.dumps(stored, separators=(",", ":")) + "\n")
-        print(f"model of all kinds: {arguments.out}, {time.monotonic() - begun:.0f} s in all")
+        print(f"model of all kinds: {arguments.out}, {time.monotonic() - begun:.0f} s")
+        print(*ablation(training, arguments.workers), sep="\n", flush=True)
 
 
 def _print_reliability(judged: list[Judged]) -> None:

@@ -133,6 +133,21 @@ def figures(judged: Sequence[Judged], confidence: float) -> Iterator[str]:
         )
 
 
+def by_confidence(judged: Sequence[Judged]) -> Iterator[str]:
+    """Yield what other confidences would give: F1 where something moves, and what is lost else."""
+    moving = [each for each in judged if each.share >= _FEW]
+    still = [each for each in judged if each.share < _STILL]
+    yield "confidence  F1 mean  median  AA mean  lost where nothing moves: mean, median"
+    for confidence in (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
+        f1 = [each.f1(confidence) for each in moving] or [np.nan]
+        accuracy = [each.accuracy(confidence) for each in moving] or [np.nan]
+        lost = [each.lost(confidence) for each in still] or [np.nan]
+        yield (
+            f"{confidence:<10.1f}{np.mean(f1):>9.1f}{np.median(f1):>8.1f}{np.mean(accuracy):>9.1f}"
+            f"  {np.mean(lost):.2f} %, {np.median(lost):.2f} %"
+        )
+
+
 def reliability(judged: Sequence[Judged]) -> list[tuple[float, float, int]]:
     """Return, for each range of probabilities, its mean, the share that moved, and the points.
 

@@ -19,7 +19,7 @@ from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Floats, Voxels
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
-from dynahull.evidence.reasons import reasons
+from dynahull.evidence.reasons import NO_REASON, reasons
 from dynahull.evidence.summaries import (
     ScoredPoints,
     summarise_ground,
@@ -177,6 +177,11 @@ class Judged:
 
     score: npt.NDArray[np.float32]
     reason: npt.NDArray[np.uint8]
+
+    @classmethod
+    def nothing(cls, count: int) -> Self:
+        """Return what is known of points that were not weighed."""
+        return cls(np.full(count, np.nan, np.float32), np.full(count, NO_REASON, np.uint8))
 
 
 def judge_points(points: ScoredPoints, unscored: Floats, k: int, threads: int = 1) -> Judged:

@@ -14,7 +14,12 @@ from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
 from dynahull.strays import OUTSKIRTS_NAMES, Outskirts, Strays
-from dynahull.warn import warn_of_clusters, warn_of_ground
+from dynahull.warn import (
+    warn_of_clusters,
+    warn_of_densities,
+    warn_of_ground,
+    warn_of_sparse_map,
+)
 from pipeline.errors import PlanError
 from pipeline.plan import Plan, make_plan
 from pipeline.progress import StageObserver
@@ -29,7 +34,7 @@ from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, 
 from pipeline.tiles.labelling import save_cuts
 from pipeline.tiles.row_results import RowResults
 from pipeline.tiles.scores import KeptScores
-from pipeline.tiles.scoring import first_cluster
+from pipeline.tiles.scoring import LEVELS_NAME, first_cluster
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.taking_part import save_set_aside, set_aside, warn_of_set_aside
 from pipeline.tiles.work import TaskReport, remove_work
@@ -96,7 +101,12 @@ def clean_tiles(
         find_clusters(job, observer, fit)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
-        exhaust(do_stage(job, executor, observer, "evidence", tiles))
+        reports = do_stage(job, executor, observer, "evidence", tiles)
+        wide, scored = np.sum([report.counts for _, report in reports], axis=0)
+        warn_of_sparse_map(int(wide), int(scored), observer)
+    else:
+        levels = [job.work.load("density", tile, LEVELS_NAME)[0] for tile in range(len(tiles))]
+        warn_of_densities(np.sum(levels, axis=0), observer)
     percentages, cuts = _rescaled(job, counts, observer)
     labelled, results = _Labelled(job), RowResults(job)
     for tile, report in do_stage(job, executor, observer, "label", tiles):

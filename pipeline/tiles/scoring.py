@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters
 from dynahull.density import SPREAD_COLUMNS
+from dynahull.warn import density_levels
 from pipeline.borders import core_densities
 from pipeline.nearest import FreePoints
 from pipeline.selection import ScoredPoints
@@ -20,6 +21,9 @@ from pipeline.tiles.job import Job
 from pipeline.tiles.scores import save_scores
 from pipeline.tiles.weighing import scored_voxels
 from pipeline.tiles.work import TaskReport
+
+LEVELS_NAME = "levels"
+"""Of the counts of densities that a tile keeps."""
 
 _NEIGHBOURS_WITHIN = 2.0
 """Metres around a part of a tile that most neighbours are found in; the others are looked for."""
@@ -59,7 +63,8 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         finished_elsewhere += scores.finished_elsewhere
     scored = ScoredPoints(cluster[core], density[core], free.rows[core])
     voxels = scored_voxels(job, tile, scored.density, spread[core]) if columns else {}
-    save_scores(job, tile, scored, clusters.centroids, voxels)
+    levels = {LEVELS_NAME: density_levels(scored.density)}
+    save_scores(job, tile, scored, clusters.centroids, voxels | levels)
     counts = np.bincount(scored.cluster, minlength=len(clusters.centroids))
     points = int(job.store.layout.counts[tile])
     return TaskReport(points, (finished_elsewhere, *counts.tolist()))

@@ -21,6 +21,7 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings
+from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.job import Job
 from pipeline.tiles.work import TaskReport
 
@@ -44,7 +45,10 @@ def scored_voxels(
 
 
 def weigh_tile(job: Job, tile: int) -> TaskReport:
-    """Judge the points of a tile's core by their own terms, and sum up the outcome."""
+    """Judge the points of a tile's core by their own terms, and sum up the outcome.
+
+    The report counts the points with wide neighbourhoods, and all.
+    """
     xyz, height = job.work.load("ground", tile, *_POINTS)
     density, spread = job.work.load("density", tile, "density", "spread")
     points = ScoredPoints(xyz, density, spread, height)
@@ -54,7 +58,8 @@ def weigh_tile(job: Job, tile: int) -> TaskReport:
     odds = summarise_odds(xyz, found.log_odds)
     kept = {name: getattr(found, name) for name in _FIRST} | _arrays(_ODDS, odds)
     job.work.save("evidence", tile, **kept)
-    return TaskReport(int(job.store.layout.counts[tile]))
+    counts = (wide_neighbourhoods(spread), len(points))
+    return TaskReport(int(job.store.layout.counts[tile]), counts)
 
 
 def judge_tile(job: Job, tile: int) -> Judged:
