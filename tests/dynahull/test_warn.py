@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from dynahull import MethodParameters, clean
-from dynahull.warn import warn_of_clusters, warn_of_ground
+from dynahull.warn import (
+    density_levels,
+    warn_of_clusters,
+    warn_of_densities,
+    warn_of_ground,
+    warn_of_sparse_map,
+    wide_neighbourhoods,
+)
 
 
 class Listener:
@@ -86,3 +93,61 @@ def test_clean_counts_the_ground_among_the_points_that_take_part():
             observer=listener,
         )
         assert any("hardly any ground" in each for each in listener.warnings) == warned
+
+
+def said_of_densities(density):
+    listener = Listener()
+    warn_of_densities(density_levels(density), listener)
+    return listener.warnings
+
+
+def populations(*groups):
+    """Densities of groups, each of so many points about a logarithm to base 2."""
+    random = np.random.default_rng(0)
+    return np.concatenate([2 ** random.normal(middle, 1.0, count) for count, middle in groups])
+
+
+def test_densities_of_one_population_are_said():
+    (warning,) = said_of_densities(populations((50_000, 12)))
+    assert "no second, sparser population" in warning
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_densities_of_two_populations_are_not(share):
+    ghosts = int(50_000 * share)
+    assert said_of_densities(populations((50_000 - ghosts, 12), (ghosts, 5))) == []
+
+
+def test_a_second_population_of_hardly_any_points_counts_for_nothing():
+    assert said_of_densities(populations((50_000, 12), (50, 3)))
+
+
+def test_no_density_is_no_population():
+    assert said_of_densities(np.array([np.nan, np.inf])) == []
+
+
+def test_counts_of_parts_add_up():
+    density = populations((1_000, 12), (100, 5), (3, -80), (3, 100))
+    density[::50] = np.nan
+    parts = [density_levels(part) for part in np.array_split(density, 7)]
+    assert (np.sum(parts, axis=0) == density_levels(density)).all()
+    assert density_levels(density).sum() == np.isfinite(density).sum()
+
+
+@pytest.mark.parametrize(("wide", "warned"), [(501, True), (500, False)])
+def test_a_sparse_map_is_said(wide, warned):
+    spread = np.zeros((1_000, 5), np.float32)
+    spread[:wide, 2] = 0.3
+    listener = Listener()
+    warn_of_sparse_map(wide_neighbourhoods(spread), len(spread), listener)
+    assert any("sparse, or was downsampled" in each for each in listener.warnings) == warned
+
+
+@pytest.mark.parametrize(("spacing", "warned"), [(0.02, False), (0.4, True)])
+def test_clean_looks_at_how_wide_neighbourhoods_are(spacing, warned):
+    side = np.arange(30) * spacing
+    x, z = np.meshgrid(side, side)
+    wall = np.column_stack([x.ravel(), 0.1 * np.sin(x.ravel()), z.ravel()])
+    listener = Listener()
+    clean(wall, "auto", ground={"method": "none"}, clustering={"count": 1}, observer=listener)
+    assert any("sparse, or was downsampled" in each for each in listener.warnings) == warned

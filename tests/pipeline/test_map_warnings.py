@@ -20,10 +20,13 @@ FAST = [
 ONE_TILE, TILES = "tiling.max_points=1000000", "tiling.max_points=300"
 
 
-def las_map(path, ground):
-    """Write two large groups and a tiny one, `ground` points of which are of class 2."""
+TINY = (24, [20, 60, 0])
+
+
+def las_map(path, ground, groups=(TINY,)):
+    """Write two large groups and others, `ground` points of which are of class 2."""
     random = np.random.default_rng(0)
-    groups = [(900, [0, 0, 0]), (850, [40, 5, 0]), (24, [20, 60, 0])]
+    groups = [(900, [0, 0, 0]), (850, [40, 5, 0]), *groups]
     points = np.concatenate([random.uniform(size=(n, 3)) * 8 + place for n, place in groups])
     header = laspy.LasHeader(version="1.2", point_format=3)
     header.scales = np.full(3, 0.001)
@@ -53,3 +56,15 @@ def test_tiles_warn_as_one_tile_does(tmp_path, decision, ground):
     assert one == many
     assert any(f"({ground} of 1,774 points" in each for each in one) == (ground == 20)
     assert any("has 24 points, and half" in each for each in one) == (decision == "paper")
+    assert any("sparse, or was" in each for each in one) == (decision == "auto")
+
+
+@pytest.mark.parametrize("groups", [(), (TINY,)], ids=["one population", "two"])
+def test_densities_are_counted_over_tiles(tmp_path, groups):
+    source = las_map(tmp_path / "map.las", 200, groups)
+    one, many = (
+        warnings_of(source, tmp_path / folder, tiles)
+        for folder, tiles in (("one", ONE_TILE), ("many", TILES))
+    )
+    assert one == many
+    assert any("no second, sparser" in each for each in one) == (not groups)
