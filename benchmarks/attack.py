@@ -39,7 +39,7 @@ from typing import Any
 from tiling.ledger import NotedFile
 
 WORK = ".dynahull-work"
-_LOADED = ["pipeline.tiles.preloaded", "sklearn.cluster", "pipeline.in_tiles", "pipeline.run"]
+_LOADED = ["pipeline.workers.preloaded", "sklearn.cluster", "pipeline.in_tiles", "pipeline.run"]
 """What runs are forked with."""
 
 PROCESSES = multiprocessing.get_context("forkserver")
@@ -273,7 +273,7 @@ def run_with(arguments: list[str], fault: Fault, folder: Path) -> None:
         setattr(sys, name, io.TextIOWrapper(io.FileIO(errors, "w", closefd=False)))
     sys.argv = ["dynahull-pipeline", *arguments]
     calls = Calls(fault)
-    from pipeline.cli import main as command  # noqa: PLC0415
+    from pipeline.commands.app import main as command  # noqa: PLC0415
 
     try:
         with calls:

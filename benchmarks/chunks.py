@@ -15,8 +15,8 @@ from typing import TypeVar
 
 from tiling.chunk_store import ChunkStore
 from tiling.chunks import assemble, read_chunk
-from tiling.formats.collection import MapCollection, find_map_files
-from tiling.grid import grid_of
+from tiling.collection import MapCollection, find_map_files
+from tiling.common_grid import grid_of
 from tiling.layout import quadtree
 from tiling.pieces import write_pieces
 from tiling.survey import survey

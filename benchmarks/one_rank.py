@@ -22,7 +22,7 @@ from benchmarks.compare.scene import Scene
 from benchmarks.density import machine
 from benchmarks.studies.labelled import LabelledMap
 from dynahull import clean
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.evaluation.labels import Truth
 
 SHARE = 0.125

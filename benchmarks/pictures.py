@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynahull import Label, clean
 from dynahull.ground.methods import height_above_ground
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from tiling.formats import open_map
 
 Extent = tuple[tuple[float, float], tuple[float, float]]

@@ -19,7 +19,12 @@ from pathlib import Path
 
 from benchmarks.density import machine
 
-COMMAND = [sys.executable, "-P", "-c", "from pipeline.cli import leave_at_once; leave_at_once()"]
+COMMAND = [
+    sys.executable,
+    "-P",
+    "-c",
+    "from pipeline.commands.app import leave_at_once; leave_at_once()",
+]
 _EVERY = 0.1
 
 

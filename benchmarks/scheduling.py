@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.density import machine
-from pipeline.tiles.execution import local_workers
-from pipeline.tiles.work import TaskReport, WorkFolder
+from pipeline.work.folder import TaskReport, WorkFolder
+from pipeline.workers.executors import local_workers
 
 
 def mark_itself(folder: str, number: int) -> TaskReport:

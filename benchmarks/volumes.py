@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from benchmarks.density import machine
 from dynahull.kernels import hull_densities
-from tiling.formats.collection import MapCollection, find_map_files
+from tiling.collection import MapCollection, find_map_files
 
 K = 75
 MOST = 2_000_000

@@ -7,10 +7,10 @@ and the oracle they are tested against.
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.hull import hull_volume
-from dynahull.neighbours import nearest_neighbours
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
+from dynahull.reference.hull import hull_volume
+from dynahull.reference.neighbours import nearest_neighbours
 
 SMALLEST_CLUSTER = 4
 """Points of the smallest cluster that is scored: fewer have no hull."""

@@ -14,20 +14,20 @@ from dynahull.loading import load_libraries
 from dynahull.parameters import RemovalParameters
 from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.cleaned_map import CleanedMap
-from pipeline.configuration import Configuration
+from pipeline.configuration.run import Configuration
 from pipeline.decision import Decision
-from pipeline.decoded import MOST_KEPT, read_map
-from pipeline.machine import available_cores
-from pipeline.output_modes import PointScores
-from pipeline.outputs import OutputNames
+from pipeline.outputs.decoded import MOST_KEPT, read_map
+from pipeline.outputs.folder import OutputNames
+from pipeline.outputs.map_sample import MapSample
+from pipeline.outputs.modes import PointScores
 from pipeline.places import DecisionSums
+from pipeline.plan.machine import available_cores
+from pipeline.plan.resources import memory_left
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.report_page.sample import MapSample
-from pipeline.resources import memory_left
 from pipeline.taking_part import warn_of_left_out
 from pipeline.write_results import write_maps
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 from tiling.resolution import coarse_step_notes, typical_place
 
 _LOOKED_AT = 10_000

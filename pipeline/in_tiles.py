@@ -5,24 +5,24 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.ahead import begun
 from pipeline.cleaned_map import CleanedMap
+from pipeline.cluster.choice import workers_for
 from pipeline.decision import Decision
-from pipeline.outputs import OutputNames
-from pipeline.plan import check_plan
+from pipeline.outputs.folder import OutputNames
+from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.tiles.ahead import begun
 from pipeline.tiles.cleaning import TiledResult, clean_tiles
-from pipeline.tiles.fitting import Fit
-from pipeline.tiles.job import Job
 from pipeline.tiles.labelling import gather_decision
-from pipeline.tiles.rows import open_rows
 from pipeline.tiles.sampling import gather_sample, tile_work
 from pipeline.tiles.writing import BATCH, kept_scores
-from pipeline.workers import workers_for
+from pipeline.work.job import Job
+from pipeline.work.rows import open_rows
+from pipeline.workers.fitting import Fit
 from pipeline.write_results import write_maps
+from tiling.collection import MapCollection
 from tiling.formats import PointBatch
-from tiling.formats.collection import MapCollection
 
 
 def clean_in_tiles(

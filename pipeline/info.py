@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from pipeline.duplicates import DuplicateCounter
 from pipeline.units import in_words
+from tiling.collection import MapCollection, find_map_files
 from tiling.foreign_text import LONGEST_LINE, escaped, printable
 from tiling.formats import MapReader
-from tiling.formats.collection import MapCollection, find_map_files
 from tiling.formats.units import Units
 from tiling.resolution import coarse_step_notes, typical_place
 

@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.configuration import Configuration
+from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError, OutputError
-from pipeline.machine import available_cores
-from pipeline.outputs import default_folder
+from pipeline.outputs.folder import default_folder
+from pipeline.outputs.run_report import RunReport
+from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
-from pipeline.report import RunReport
 from pipeline.run import run
 from pipeline.taking_part import survey_map
 from pipeline.units import open_collection
 from tiling.atomic import atomic_file
+from tiling.collection import MapCollection, find_map_files
 from tiling.formats.base import PointBatch
-from tiling.formats.collection import MapCollection, find_map_files
 from tiling.occupancy import Occupancy
 from tiling.output_file import writing_only_into
 from tiling.survey import Survey

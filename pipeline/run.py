@@ -14,12 +14,10 @@ from pathlib import Path
 
 from dynahull.clustering import fit_clusters
 from dynahull.errors import MissingClassificationError
-from pipeline.configuration import Configuration
+from pipeline.cluster.choice import prepare_workers
+from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
-from pipeline.machine import available_cores
-from pipeline.map_state import unchanged
-from pipeline.output_modes import check_mode
-from pipeline.outputs import (
+from pipeline.outputs.folder import (
     CONFIGURATION_FILE,
     LABELS_FILE,
     REPORT_FILE,
@@ -28,17 +26,19 @@ from pipeline.outputs import (
     default_folder,
     output_folder,
 )
+from pipeline.outputs.modes import check_mode
+from pipeline.outputs.run_report import RunReport
+from pipeline.plan.machine import available_cores
+from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.progress import StageObserver
-from pipeline.report import RunReport
 from pipeline.report_page.page import Views, render_page
 from pipeline.report_page.tile_chart import TileWork
-from pipeline.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.showing import only_showing
-from pipeline.tiles.fitting import fitting
-from pipeline.tiles.work import WORK_FOLDER, remove_work
 from pipeline.units import open_collection
-from pipeline.workers import prepare_workers
-from tiling.formats.collection import MapCollection, content_hash, find_map_files
+from pipeline.work.folder import WORK_FOLDER, remove_work
+from pipeline.work.map_state import unchanged
+from pipeline.workers.fitting import fitting
+from tiling.collection import MapCollection, content_hash, find_map_files
 
 
 def run(
@@ -115,12 +115,12 @@ def run(
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
         else:
             from pipeline.in_tiles import clean_in_tiles  # noqa: PLC0415
-            from pipeline.tiles.opening import open_job  # noqa: PLC0415
+            from pipeline.work.opening import open_job  # noqa: PLC0415
 
             job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
             cleaned = clean_in_tiles(job, collection, names, staging, observer, fit)
         if configuration.output.labels:
-            from pipeline.labels_table import write_labels  # noqa: PLC0415
+            from pipeline.outputs.labels_table import write_labels  # noqa: PLC0415
 
             assert cleaned.cluster is not None and cleaned.density is not None  # asked for
             assert cleaned.score is not None

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from dynahull.checking import valid_points
 from dynahull.progress import Observer
 from dynahull.strays import Outskirts, Strays, is_at_origin
-from pipeline.configuration import Configuration, InputParameters
+from pipeline.configuration.run import Configuration, InputParameters
+from tiling.collection import MapCollection
 from tiling.formats.base import PointBatch
-from tiling.formats.collection import MapCollection
 from tiling.survey import Survey, merge, survey_batches
 
 Mask = NDArray[np.bool_]

@@ -6,13 +6,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.configuration import OutputParameters
+from pipeline.configuration.run import OutputParameters
 from pipeline.errors import LostPointsError
-from pipeline.output_modes import PointScores, mode_of
-from pipeline.outputs import OutputNames
+from pipeline.outputs.folder import OutputNames
+from pipeline.outputs.modes import PointScores, mode_of
 from pipeline.progress import StageObserver
-from pipeline.tiles.execution import Executor
-from pipeline.tiles.job import Job
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import (
     BATCH,
@@ -22,8 +20,10 @@ from pipeline.tiles.writing import (
     plan_parts,
     write_stream,
 )
+from pipeline.work.job import Job
+from pipeline.workers.executors import Executor
+from tiling.collection import MapCollection
 from tiling.formats import PointBatch
-from tiling.formats.collection import MapCollection
 
 
 def write_maps(

@@ -28,8 +28,8 @@ import pytest
 import typer
 import typer.testing
 
-from pipeline.cli import app
-from pipeline.configuration import (
+from pipeline.commands.app import app
+from pipeline.configuration.run import (
     configurations_folder,
     load_configuration,
 )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tiling.atomic import atomic_file
 from tiling.errors import ChunkError
-from tiling.formats.grid import Grid
+from tiling.grid import Grid
 from tiling.layout import Layout
 
 ChunkFormat = Literal["parquet", "las", "laz"]
@@ -78,7 +78,7 @@ class ChunkStore:
     format : "parquet", "las" or "laz"
         Of the chunks.
     grid : Grid or None
-        Of the coordinates; needed for LAS, see `tiling.grid.grid_of`.
+        Of the coordinates; needed for LAS, see `tiling.common_grid.grid_of`.
     compression : "zstd" or "lz4"
         Of chunks in Parquet: half the size, or half the time.
     """

@@ -1,74 +1,70 @@
-"""Grids of integer coordinates, as LAS has them: coordinate = integer * scale + offset."""
+"""The grid that LAS keeps coordinates on."""
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.errors import GridError
-from tiling.formats.collection import MapCollection
-from tiling.formats.grid import Grid
-from tiling.survey import Survey
-
-_SCALES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 2.0**-4, 2.0**-8, 2.0**-12, 2.0**-16, 2.0**-20)
-"""Tried where the map has no grid of its own: decimals, and fractions of voxel grids."""
+_LARGEST = 2**31 - 1
 
 
-def grid_of(collection: MapCollection, survey: Survey) -> Grid:
-    """Find a grid that gives every finite coordinate of a map back.
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Coordinates as 32-bit integers: coordinate = integer * scale + offset.
 
-    It is the map's own if it is LAS on one grid; any other map is read until no grid is left.
+    Attributes
+    ----------
+    scales, offsets : tuple of three float
+        Of x, y and z.
+    """
+
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+
+    def coordinates(self, integers: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return the coordinates of integers, both (n, 3)."""
+        xyz = np.empty((len(integers), 3))
+        # An axis at a time: rows of three are too short for NumPy's loops.
+        for axis in range(3):
+            np.multiply(integers[:, axis], self.scales[axis], out=xyz[:, axis])
+            xyz[:, axis] += self.offsets[axis]
+        return xyz
+
+    def integers(self, xyz: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Return the integers nearest to coordinates that the grid reaches, both (n, 3)."""
+        return np.rint(self._steps(xyz)).astype(np.int32)
+
+    def reaches(self, xyz: NDArray[np.float64]) -> bool:
+        """Tell whether the integers of coordinates, (n, 3), are no larger than 32 bits."""
+        return bool((np.abs(self._steps(xyz)) <= _LARGEST).all())
+
+    def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which coordinates, (n, 3), come back as they were, to the last bit.
+
+        The sign of a zero is not looked at: no difference of coordinates depends on it.
+        """
+        steps = np.rint(self._steps(xyz))
+        reached = np.asarray((np.abs(steps) <= _LARGEST).all(axis=1))
+        back = self.coordinates(np.where(reached[:, None], steps, 0).astype(np.int32))
+        return np.asarray(reached & (back == xyz).all(axis=1))
+
+    def _steps(self, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        with np.errstate(over="ignore"):
+            return np.asarray((xyz - np.array(self.offsets)) / np.array(self.scales))
+
+
+def integers_in_records(records: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return a view of the integers that raw records of LAS begin with.
 
     Parameters
     ----------
-    collection : MapCollection
-        The map.
-    survey : Survey
-        Of the whole map.
+    records : (n, record_length) uint8 array
+        Contiguous.
 
     Returns
     -------
-    Grid
-
-    Raises
-    ------
-    GridError
-        When there is none.
+    (n, 3) int32 array
+        Those of x, y and z, not aligned.
     """
-    own = list(dict.fromkeys(reader.description.grid for reader in collection.readers))
-    if collection.metres is not None:
-        own = [None]  # what was multiplied is on it no more
-    if len(own) == 1 and own[0] is not None:
-        return own[0]
-    candidates = [*(grid for grid in own if grid is not None), *_grids_within(survey)]
-    lost = survey.maximum
-    for _, batch in collection.batches():
-        xyz = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
-        for grid in list(candidates):
-            off = np.flatnonzero(~grid.holds(xyz))
-            if len(off):
-                candidates.remove(grid)
-                lost = xyz[off[0]]
-        if not candidates:
-            raise GridError(collection.name, lost)
-    return candidates[0]
-
-
-def _grids_within(survey: Survey) -> Iterator[Grid]:
-    """Yield the grids whose integers of 32 bits reach over the map."""
-    if not survey.finite_count:
-        yield Grid((_SCALES[1],) * 3, (0.0,) * 3)
-        return
-    ends = np.array([survey.minimum, survey.maximum])
-    middle = np.floor(ends[0] / 2 + ends[1] / 2)
-    for scale in _SCALES:
-        for offset in (np.zeros(3), middle):
-            grid = Grid((scale,) * 3, _triple(offset))
-            if grid.reaches(ends):
-                yield grid
-                break
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
+    strides = (records.shape[1], 4)
+    return np.ndarray((len(records), 3), dtype="<i4", buffer=records, strides=strides)

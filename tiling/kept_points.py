@@ -17,10 +17,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.collection import MapCollection
 from tiling.durable import sync
 from tiling.errors import ChunkError
 from tiling.formats.base import PointBatch
-from tiling.formats.collection import MapCollection
 from tiling.output_file import make_sized, write_only
 
 _COORDINATES = np.dtype((np.float64, 3))

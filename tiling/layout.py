@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled, helper
+from tiling.compiled import compiled, helper
 from tiling.morton import morton_before, morton_order
 from tiling.occupancy import FARTHEST, Occupancy, count_within
 

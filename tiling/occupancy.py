@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled, helper
-from tiling.ordering import ascending_order
+from tiling.compiled import compiled, helper
+from tiling.morton import ascending_order
 
 FINEST_CELL = 0.25
 """Side of a column of the occupancy lattice, metres, before any coarsening."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.collection import MapCollection
+from tiling.compiled import compiled
 from tiling.formats.base import PointBatch
-from tiling.formats.collection import MapCollection
-from tiling.formats.compiled import compiled
 from tiling.occupancy import ColumnCounter, Occupancy, combined
 
 

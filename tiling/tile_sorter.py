@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.compiled import compiled, helper
+from tiling.compiled import compiled, helper
 from tiling.layout import NO_TILE, Layout
 
 Points = NDArray[np.float64]

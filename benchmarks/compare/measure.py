@@ -13,7 +13,7 @@ from pipeline.evaluation.inputs import EvaluationInputs
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.row_values import RowValues
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 
 __all__ = ["evaluation_options", "measure"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.compare.method import Family, Method, Removal, versions_of
 from benchmarks.compare.scene import Scene
 from dynahull import MethodParameters, clean
-from pipeline.configuration import load_configuration, ready_configurations
+from pipeline.configuration.run import load_configuration, ready_configurations
 
 __all__ = ["methods"]
 

@@ -20,7 +20,7 @@ from benchmarks.localisation.maps import TRUE, maps_of, second_drive
 from benchmarks.localisation.matching import localise
 from benchmarks.localisation.picture import draw
 from benchmarks.localisation.trajectories import Errors, errors_of
-from pipeline.configuration import load_parameters
+from pipeline.configuration.run import load_parameters
 from pipeline.simulation import SimulationParameters
 
 __all__ = ["main"]

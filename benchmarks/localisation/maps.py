@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dynahull import clean
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.simulation import SimulationParameters, simulate_scans
 
 __all__ = [

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pipeline.configuration import load_parameters
+from pipeline.configuration.run import load_parameters
 from pipeline.evaluation.confusion import DynamicMapAccuracy, Tally
 from pipeline.evaluation.labels import Truth
 from pipeline.simulation import SimulationParameters, simulate

@@ -1,6 +1,6 @@
 """Steps 3 and 4, compiled: exact neighbours and exact hulls, fused, at microseconds a point.
 
-The plain versions, `dynahull.neighbours` and `dynahull.hull`, are their oracles.
+Their oracles are the plain versions in `dynahull.reference`.
 """
 
 from dynahull.kernels.closest import NO_RANK

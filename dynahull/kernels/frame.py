@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.hull import FLATNESS
 from dynahull.kernels.compiled import inlined
 from dynahull.kernels.lanes import aligned, padded
 from dynahull.kernels.vectors import extremes, largest
+from dynahull.reference.hull import FLATNESS
 
 STEP = 2.0**-50
 """The grid's step, in units of the frame."""

@@ -14,8 +14,8 @@ from time import monotonic
 from typing import Any
 
 from pipeline.cluster.batch_systems import BatchSystem, JobState, Phase
-from pipeline.cluster.parameters import ClusterParameters
 from pipeline.cluster.record import logs_folder, record_workers
+from pipeline.configuration.cluster import ClusterParameters
 from pipeline.errors import ClusterError
 
 logger = logging.getLogger("dynahull")

@@ -15,9 +15,9 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
-from pipeline.cluster.parameters import ClusterParameters
+from pipeline.configuration.cluster import ClusterParameters
+from pipeline.configuration.quantities import clock
 from pipeline.errors import ClusterError, MissingPackageError
-from pipeline.quantities import clock
 
 _PATIENCE = 60
 """Seconds that a command of a batch system may take."""

@@ -5,7 +5,7 @@ from time import monotonic, sleep
 
 from pipeline.cluster.record import RecordedJobs, record_workers, submitted_job, worker_jobs
 from pipeline.errors import WorkError
-from pipeline.outputs import folder_is_locked
+from pipeline.outputs.folder import folder_is_locked
 
 _PATIENCE = 60.0
 """Seconds that the run is given to leave in order, its workers cancelled by itself."""

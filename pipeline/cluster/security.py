@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pipeline.cluster.parameters import TLSParameters
+from pipeline.configuration.cluster import TLSParameters
 from pipeline.errors import ConfigurationError
 from pipeline.home import in_home
 

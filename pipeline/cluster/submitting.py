@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.cluster.batch_systems import BatchSystem, JobDescription, batch_system
-from pipeline.cluster.parameters import BATCH_SYSTEMS, ClusterParameters
 from pipeline.cluster.record import (
     cluster_folder,
     logs_folder,
@@ -14,12 +13,13 @@ from pipeline.cluster.record import (
     worker_jobs,
 )
 from pipeline.cluster.workers import check_folder
-from pipeline.configuration import Configuration
+from pipeline.configuration.cluster import BATCH_SYSTEMS, ClusterParameters
+from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError, OutputError
-from pipeline.outputs import default_folder, folder_is_locked
+from pipeline.outputs.folder import default_folder, folder_is_locked
 from pipeline.replacing import refuse_own_folders
 from tiling.atomic import atomic_file
-from tiling.formats.collection import find_map_files
+from tiling.collection import find_map_files
 
 CONFIGURATION_FILE = "config.yaml"
 

@@ -16,13 +16,13 @@ from pipeline.cluster.batch_systems import (
     batch_system,
     cluster_class,
 )
-from pipeline.cluster.parameters import ClusterParameters
 from pipeline.cluster.record import cluster_folder, logs_folder, record_workers
 from pipeline.cluster.security import cluster_security, scheduler_security
-from pipeline.configuration import Configuration
+from pipeline.configuration.cluster import ClusterParameters
+from pipeline.configuration.run import Configuration
 from pipeline.errors import ClusterError, ConfigurationError
-from pipeline.tiles.execution import Executor, OnDask, Outcome, Task
-from pipeline.tiles.fork_server import ONE_THREAD
+from pipeline.workers.executors import Executor, OnDask, Outcome, Task
+from pipeline.workers.fork_server import ONE_THREAD
 
 logger = logging.getLogger("dynahull")
 

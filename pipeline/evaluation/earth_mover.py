@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from pipeline.configuration.quantities import in_units
 from pipeline.errors import EvaluationError, MissingPackageError, PlanError
-from pipeline.machine import available_memory
-from pipeline.quantities import in_units
+from pipeline.plan.machine import available_memory
 
 GroundCost = Literal["euclidean", "sqeuclidean"]
 

@@ -17,7 +17,6 @@ from pipeline.evaluation.inputs import EvaluationInputs
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.picture import draw_picture
-from pipeline.evaluation.place import distance_apart
 from pipeline.evaluation.scoring import Scores, label_by_map, label_cleaned, score
 from pipeline.evaluation.tiled_cloud import (
     POINT_BYTES,
@@ -25,11 +24,12 @@ from pipeline.evaluation.tiled_cloud import (
     TiledCloud,
     check_points,
     cut_clouds,
+    distance_apart,
 )
-from pipeline.resources import check_space
+from pipeline.plan.resources import check_space
 from pipeline.showing import only_showing
 from pipeline.temporary import temporary_folder
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 
 _MORE_BYTES = 25
 """On the disk, a point of the cleaned map at most: its distance, or the mean of its voxel."""

@@ -4,8 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynahull.progress import Observer
-from pipeline.evaluation.distance_file import DistanceFile
-from pipeline.evaluation.distances import ChamferDistance, DirectedChamfer, DistanceStatistics
+from pipeline.evaluation.distances import (
+    ChamferDistance,
+    DirectedChamfer,
+    DistanceFile,
+    DistanceStatistics,
+)
 from pipeline.evaluation.earth_mover import EarthMoversDistance, transport_cost
 from pipeline.evaluation.nearest_point import look_up
 from pipeline.evaluation.options import EvaluationOptions

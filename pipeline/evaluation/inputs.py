@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynahull import Label
-from pipeline.configuration import InputParameters
+from pipeline.configuration.run import InputParameters
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.labels import (
     is_label_table,
@@ -16,10 +16,10 @@ from pipeline.evaluation.labels import (
 )
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.row_values import RowValues
-from pipeline.outputs import LABELS_FILE, RUN_FILE
-from pipeline.result import label_batches, table_batches
+from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
+from pipeline.outputs.reading import label_batches, table_batches
 from pipeline.units import open_collection
-from tiling.formats.collection import MapCollection, find_map_files
+from tiling.collection import MapCollection, find_map_files
 from tiling.parquet_file import row_count
 
 

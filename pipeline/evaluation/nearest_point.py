@@ -15,7 +15,7 @@ from dynahull.kernels import NO_RANK, NearestSearch
 from dynahull.progress import Observer
 from pipeline.evaluation.labels import Labels, Truth
 from pipeline.evaluation.tiled_cloud import TiledCloud
-from pipeline.machine import available_cores
+from pipeline.plan.machine import available_cores
 
 _Floats = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from pipeline.evaluation.evaluate import Figures
 from pipeline.evaluation.inputs import EvaluationInputs
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.preservation import Preservation
-from pipeline.machine import peak_memory
+from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 
 Row = tuple[str, str, str]
 """A figure's name, its value, and its unit or what it is of."""

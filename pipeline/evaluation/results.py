@@ -9,7 +9,7 @@ from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.picture import drawing_library
 from pipeline.evaluation.report import EvaluationReport
 from pipeline.named_file import check_named_file
-from pipeline.outputs import RUN_FILE
+from pipeline.outputs.folder import RUN_FILE
 from pipeline.progress import watching
 from tiling.atomic import atomic_file
 

@@ -10,9 +10,8 @@ from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy, Tally
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.nearest_point import look_up
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.place import distance_apart
 from pipeline.evaluation.preservation import Preservation, compare_voxels
-from pipeline.evaluation.tiled_cloud import TiledCloud
+from pipeline.evaluation.tiled_cloud import TiledCloud, distance_apart
 
 _LEAST_OF_TRUTH = 0.5
 """Share of the truth below which a warning is due: some of it may be hidden in the original."""

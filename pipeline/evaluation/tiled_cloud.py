@@ -21,8 +21,8 @@ from dynahull.progress import Observer
 from pipeline.errors import EvaluationError
 from pipeline.evaluation.labels import Labels, Truth
 from pipeline.evaluation.row_values import RowReader, RowValues
+from tiling.collection import MapCollection
 from tiling.formats.base import PointBatch
-from tiling.formats.collection import MapCollection
 from tiling.layout import Layout, quadtree
 from tiling.survey import merge, survey_batches
 
@@ -266,3 +266,10 @@ def check_points(cloud: TiledCloud, among: str = "") -> None:
     """Refuse a cloud without a point."""
     if not len(cloud):
         raise EvaluationError(f"{cloud.name}: expected finite points{among}, found none")
+
+
+def distance_apart(first: TiledCloud, second: TiledCloud) -> float:
+    """Return the distance between the boxes of two clouds, metres; 0 where they meet."""
+    (low, high), (other_low, other_high) = first.box(), second.box()
+    gaps = np.maximum(np.maximum(low - other_high, other_low - high), 0.0)
+    return float(np.linalg.norm(gaps))

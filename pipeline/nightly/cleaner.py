@@ -9,7 +9,7 @@ from select import select
 from time import monotonic
 from typing import IO, Protocol
 
-from pipeline.nightly.exchange import Ended, Request
+from pipeline.nightly.one_map import Ended, Request
 
 logger = logging.getLogger("dynahull")
 

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.configuration import Configuration
+from pipeline.configuration.run import Configuration
 from pipeline.nightly.journal import Fingerprint, MapRecord
 from pipeline.nightly.settings import NightlyInput, NightlySettings
 from pipeline.showing import is_text
+from tiling.collection import content_hash, find_map_files
 from tiling.errors import NoMapError
-from tiling.formats.collection import content_hash, find_map_files
 
 _COARSEST_TIME = 2.0
 """Seconds between two changes of a file that its dates tell apart on any file system (FAT)."""

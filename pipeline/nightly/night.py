@@ -13,7 +13,6 @@ from pathlib import Path
 from pipeline.errors import DiskSpaceError
 from pipeline.nightly.cleaner import Cleaner
 from pipeline.nightly.clock import Clock, NightEnd
-from pipeline.nightly.exchange import Ended, Request
 from pipeline.nightly.index_page import INDEX_FILE, write_index
 from pipeline.nightly.inventory import (
     Problem,
@@ -23,8 +22,8 @@ from pipeline.nightly.inventory import (
     learn_content,
 )
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
-from pipeline.nightly.lock import night_lock
 from pipeline.nightly.minutes import Minutes
+from pipeline.nightly.one_map import Ended, Request
 from pipeline.nightly.own_files import refuse_to_replace
 from pipeline.nightly.results import (
     MapFolder,
@@ -38,8 +37,9 @@ from pipeline.nightly.retention import remove_old_runs
 from pipeline.nightly.settings import NightlySettings
 from pipeline.nightly.summary import MapOutcome, NightSummary
 from pipeline.nightly.triage import Candidate, in_turn, verdict
-from pipeline.outputs import folder_is_locked
-from pipeline.resources import check_space
+from pipeline.outputs.folder import folder_is_locked
+from pipeline.outputs.folder_lock import night_lock
+from pipeline.plan.resources import check_space
 from pipeline.showing import only_showing, printable
 from tiling.output_file import writing_only_into
 

@@ -18,9 +18,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pipeline.configuration import Configuration
-from pipeline.outputs import REPORT_FILE, RUN_FILE, folder_is_locked
-from pipeline.tiles.work import WORK_FOLDER, remove_work, stages_begun
+from pipeline.configuration.run import Configuration
+from pipeline.outputs.folder import REPORT_FILE, RUN_FILE, folder_is_locked
+from pipeline.work.folder import WORK_FOLDER, remove_work, stages_begun
 
 logger = logging.getLogger("dynahull")
 

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from pipeline.configuration import (
+from pipeline.configuration.quantities import Seconds, Size
+from pipeline.configuration.run import (
     Configuration,
     load_configuration,
     load_parameters,
@@ -16,7 +17,6 @@ from pipeline.configuration import (
 )
 from pipeline.errors import ConfigurationError
 from pipeline.home import in_home
-from pipeline.quantities import Seconds, Size
 from pipeline.showing import is_text, printable
 
 

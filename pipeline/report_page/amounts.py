@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.decision import SCORE_STEPS, Decision
-from pipeline.report import ClusterReport
-from pipeline.report_page.sample import MapSample
+from pipeline.outputs.map_sample import MapSample
+from pipeline.outputs.run_report import ClusterReport
 
 NEVER = np.inf
 """The amount of points that no setting removes: ground, and points of infinite density."""

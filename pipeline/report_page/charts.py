@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from pipeline.quantities import in_time
-from pipeline.report import ClusterReport
+from pipeline.configuration.quantities import in_time
+from pipeline.outputs.map_sample import MapSample, magnitude
+from pipeline.outputs.run_report import ClusterReport
 from pipeline.report_page.amounts import Amounts
-from pipeline.report_page.sample import MapSample, magnitude
 from pipeline.report_page.svg import Axis, frame, picture, power_of_ten, short, text
 
 MOST_HISTOGRAMS = 12

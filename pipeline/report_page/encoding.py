@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
+from pipeline.outputs.map_sample import MapSample, magnitude
 from pipeline.report_page.amounts import NEVER, Amounts
-from pipeline.report_page.sample import MapSample, magnitude
 
 AMOUNT_CODES = 600
 """Codes for each percent of the slider."""

@@ -12,9 +12,10 @@ import yaml
 
 from dynahull.parameters import RemovalParameters
 from dynahull.result import ClusterSummary
+from pipeline.configuration.quantities import in_time, in_units
 from pipeline.decision import Decision
-from pipeline.quantities import in_time, in_units
-from pipeline.report import ClusterReport, RunReport
+from pipeline.outputs.map_sample import MapSample
+from pipeline.outputs.run_report import ClusterReport, RunReport
 from pipeline.report_page.amounts import (
     Amounts,
     confidence_amounts,
@@ -28,7 +29,6 @@ from pipeline.report_page.charts import (
 )
 from pipeline.report_page.encoding import EncodedSample, encode
 from pipeline.report_page.place_table import place_section
-from pipeline.report_page.sample import MapSample
 from pipeline.report_page.tile_chart import MOST_TILES, TileWork, shade_limits, tile_chart
 from pipeline.showing import printable
 

@@ -3,7 +3,7 @@
 from html import escape
 
 from pipeline.decision import Place
-from pipeline.report import RunReport, share_of
+from pipeline.outputs.run_report import RunReport, share_of
 
 
 def place_section(report: RunReport) -> str:

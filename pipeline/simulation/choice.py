@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from pipeline.configuration import load_parameters
+from pipeline.configuration.run import load_parameters
 from pipeline.simulation.meshes.parameters import MeshParameters, MeshSceneKind
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.scene import SceneKind

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.shapes import Shapes
-from tiling.formats.compiled import compiled
+from tiling.compiled import compiled
 
 _ALMOST_ZERO = 1e-30  # stands in for a direction component of 0, which cannot be divided by
 

@@ -21,27 +21,26 @@ from dynahull.warn import (
     warn_of_sparse_map,
 )
 from pipeline.errors import PlanError
-from pipeline.plan import Plan, make_plan
+from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
-from pipeline.selection import Cut, find_cuts
 from pipeline.taking_part import survey_of_others
-from pipeline.tiles.array_file import write_arrays
 from pipeline.tiles.cutting import make_copies, needs_pieces
-from pipeline.tiles.execution import Executor
-from pipeline.tiles.fitting import Fit, import_meanwhile
+from pipeline.tiles.density import LEVELS_NAME, KeptScores, first_cluster
 from pipeline.tiles.ground import SAMPLE_NAMES
-from pipeline.tiles.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
 from pipeline.tiles.labelling import save_cuts
-from pipeline.tiles.row_results import RowResults
-from pipeline.tiles.scores import KeptScores
-from pipeline.tiles.scoring import LEVELS_NAME, first_cluster
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.taking_part import save_set_aside, set_aside, warn_of_set_aside
-from pipeline.tiles.work import TaskReport, remove_work
+from pipeline.tiles.thresholds import Cut, find_cuts
+from pipeline.work.array_file import write_arrays
+from pipeline.work.folder import TaskReport, remove_work
+from pipeline.work.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
+from pipeline.work.row_results import RowResults
+from pipeline.workers.executors import Executor
+from pipeline.workers.fitting import Fit, import_meanwhile
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
+from tiling.common_grid import grid_of
 from tiling.errors import GridError
-from tiling.grid import grid_of
 from tiling.ledger import noting
 from tiling.resolution import coarse_step_notes
 from tiling.survey import Survey, merge

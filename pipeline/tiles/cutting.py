@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from functools import partial
 
 from pipeline.taking_part import Watcher
-from pipeline.tiles.job import Job
-from pipeline.tiles.rows import write_rows
 from pipeline.tiles.taking_part import PointsTakingPart, make_left_out, note_left_out
-from pipeline.tiles.work import TaskReport
+from pipeline.work.folder import TaskReport
+from pipeline.work.job import Job
+from pipeline.work.rows import write_rows
 from tiling.chunks import assemble, has_chunk
 from tiling.formats.base import PointBatch
 from tiling.output_file import make_sized

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.borders import Region
+from pipeline.tiles.borders import Region
 
 SIDES = (2, 4)
 """In how many parts each way a tile is done that was too large, and again if it still was."""

@@ -10,14 +10,14 @@ from dynahull.algorithm import set_ground_aside
 from dynahull.clustering import sample_rows
 from dynahull.labels import Label
 from dynahull.progress import SilentObserver
-from pipeline.borders import Region
-from pipeline.nearest import FreePoints
-from pipeline.report_page.sample import is_sampled
+from pipeline.outputs.map_sample import is_sampled
+from pipeline.tiles.borders import Region
 from pipeline.tiles.division import divided
-from pipeline.tiles.job import Job
-from pipeline.tiles.rows import open_rows
+from pipeline.tiles.nearest import FreePoints
 from pipeline.tiles.weighing import unscored_voxels
-from pipeline.tiles.work import TaskReport
+from pipeline.work.folder import TaskReport
+from pipeline.work.job import Job
+from pipeline.work.rows import open_rows
 from tiling.chunk_store import Chunk, joined
 from tiling.chunks import assemble, has_chunk, read_chunk, read_cores
 from tiling.layout import Layout

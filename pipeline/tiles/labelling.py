@@ -16,15 +16,14 @@ from dynahull.result import NO_CLUSTER
 from pipeline.decision import Decision
 from pipeline.errors import WorkError
 from pipeline.places import ARRAY_NAMES, DecisionSums
-from pipeline.selection import Cut, find_cuts
+from pipeline.tiles.density import KeptScores, first_cluster, scored_points
 from pipeline.tiles.ground import LABEL_NAMES
-from pipeline.tiles.job import Job
 from pipeline.tiles.sampling import shown_points
-from pipeline.tiles.scores import KeptScores, scored_points
-from pipeline.tiles.scoring import first_cluster
 from pipeline.tiles.sealed import GO_ON, read_sealed, write_sealed
+from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.tiles.weighing import judge_tile
-from pipeline.tiles.work import TaskReport
+from pipeline.work.folder import TaskReport
+from pipeline.work.job import Job
 
 CUTS_FILE = "cuts.json"
 

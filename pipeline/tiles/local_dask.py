@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.errors import ConfigurationError
 from pipeline.temporary import temporary_folder
-from pipeline.tiles.fork_server import ONE_THREAD, START_METHOD
+from pipeline.workers.fork_server import ONE_THREAD, START_METHOD
 
 _LOOPBACK = "127.0.0.1"
 

@@ -4,12 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.result import NO_CLUSTER
-from pipeline.report_page.sample import ARRAY_NAMES, MapSample, is_sampled
+from pipeline.outputs.map_sample import ARRAY_NAMES, MapSample, is_sampled
 from pipeline.report_page.tile_chart import TileWork
-from pipeline.selection import ScoredPoints
+from pipeline.tiles.density import first_cluster
 from pipeline.tiles.ground import SHOWN_NAMES
-from pipeline.tiles.job import JOB_FILE, Job
-from pipeline.tiles.scoring import first_cluster
+from pipeline.tiles.thresholds import ScoredPoints
+from pipeline.work.job import JOB_FILE, Job
 
 _STAGES_OF_A_TILE = ("ground", "density", "evidence", "label")
 

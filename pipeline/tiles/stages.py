@@ -8,20 +8,20 @@ from itertools import pairwise
 from typing import Any
 
 from pipeline.errors import TasksFailedError
-from pipeline.machine import give_memory_back
-from pipeline.map_state import check_map
+from pipeline.plan.machine import give_memory_back
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import assemble_tile, cut_rows, survey_rows
+from pipeline.tiles.density import score_tile
 from pipeline.tiles.division import SIDES
-from pipeline.tiles.execution import Executor, Outcome, TaskFailure
 from pipeline.tiles.ground import find_ground
-from pipeline.tiles.job import Job
 from pipeline.tiles.labelling import label_tile
-from pipeline.tiles.scoring import score_tile
 from pipeline.tiles.sealed import write_sealed
 from pipeline.tiles.weighing import weigh_tile
-from pipeline.tiles.work import TaskReport
 from pipeline.tiles.writing import file_of_part, write_part
+from pipeline.work.folder import TaskReport
+from pipeline.work.job import Job
+from pipeline.work.map_state import check_map
+from pipeline.workers.executors import Executor, Outcome, TaskFailure
 from tiling.ledger import noting
 from tiling.output_file import writing_only_into
 

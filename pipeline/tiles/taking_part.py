@@ -17,9 +17,9 @@ from dynahull.labels import Label
 from dynahull.progress import Observer
 from dynahull.strays import Strays, is_at_origin, warn_of_strays
 from pipeline.taking_part import hidden, may_leave_out, warn_of_left_out
-from pipeline.tiles.job import Job
-from pipeline.tiles.rows import open_rows, write_rows
 from pipeline.tiles.sealed import read_sealed, write_sealed
+from pipeline.work.job import Job
+from pipeline.work.rows import open_rows, write_rows
 from tiling.formats.base import PointBatch
 from tiling.output_file import make_sized
 

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from pipeline.machine import available_cores
+from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import needs_pieces
-from pipeline.tiles.job import CHUNKS_FOLDER, CREATING, FITTING, PLANNING, Job
-from pipeline.tiles.work import remove
+from pipeline.work.folder import remove
+from pipeline.work.job import CHUNKS_FOLDER, CREATING, FITTING, PLANNING, Job
 from tiling.ledger import Written
 
 _NAMED = 3

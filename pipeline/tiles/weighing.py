@@ -22,8 +22,8 @@ from dynahull.evidence.summaries import (
 )
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.warn import wide_neighbourhoods
-from pipeline.tiles.job import Job
-from pipeline.tiles.work import TaskReport
+from pipeline.work.folder import TaskReport
+from pipeline.work.job import Job
 
 _UNSCORED, _SCORED, _ODDS = "unscored", "scored", "odds"
 _POINTS = ("own_xyz", "own_height")

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.ahead import made_ahead
 from pipeline.errors import LostPointsError, WorkError
-from pipeline.output_modes import OutputMode, PointScores, mode_of
-from pipeline.tiles.ahead import made_ahead
-from pipeline.tiles.job import CREATING, Job
-from pipeline.tiles.rows import open_rows
+from pipeline.outputs.modes import OutputMode, PointScores, mode_of
 from pipeline.tiles.sealed import read_if_whole, read_sealed, write_sealed
-from pipeline.tiles.work import TaskReport
+from pipeline.work.folder import TaskReport
+from pipeline.work.job import CREATING, Job
+from pipeline.work.rows import open_rows
 from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parts import PartSummary, PartWriter
 from tiling.ledger import note_end, noting

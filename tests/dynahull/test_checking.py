@@ -9,7 +9,7 @@ import pytest
 import dynahull
 from dynahull import DynaHull, InvalidParametersError, InvalidPointsError, MethodParameters, clean
 from dynahull.ready import READY
-from pipeline.configuration import load_configuration, ready_configurations
+from pipeline.configuration.run import load_configuration, ready_configurations
 
 POINTS = np.random.default_rng(0).normal(size=(300, 3))
 FAST = {"ground": {"method": "none"}}

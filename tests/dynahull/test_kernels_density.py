@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dynahull.density import reference_densities
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels import hull_densities, nearest_rows, squared_reaches
-from dynahull.neighbours import nearest_neighbours
+from dynahull.reference.neighbours import nearest_neighbours
 
 Points = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from dynahull.hull import FLATNESS, hull_volume
 from dynahull.kernels import hull_densities
 from dynahull.kernels.exact import exact_hull_volume
-from tiling.formats.collection import MapCollection, find_map_files
+from dynahull.reference.hull import FLATNESS, hull_volume
+from tiling.collection import MapCollection, find_map_files
 
 Points = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from pipeline.tiles.ahead import begun, made_ahead
+from pipeline.ahead import begun, made_ahead
 
 
 @pytest.mark.parametrize("items", [[], [None], [0, None, False, 3], list(range(100))])

@@ -7,7 +7,7 @@ import pytest
 from pipeline.cluster import attendance
 from pipeline.cluster.attendance import Attendance
 from pipeline.cluster.batch_systems import JobState, Phase
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 
 
 class Watch:

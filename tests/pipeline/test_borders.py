@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from dynahull import MethodParameters
 from dynahull.clustering import Clusters
 from dynahull.density import SPREAD_COLUMNS, cluster_densities
-from pipeline.borders import Region, core_densities
-from pipeline.nearest import FreePoints
+from pipeline.tiles.borders import Region, core_densities
+from pipeline.tiles.nearest import FreePoints
 
 
 class Grid:

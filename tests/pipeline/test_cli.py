@@ -14,7 +14,7 @@ from time import monotonic
 import numpy as np
 import pytest
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()"]
+COMMAND = [sys.executable, "-c", "from pipeline.commands.app import leave_at_once; leave_at_once()"]
 
 
 def call(*arguments, **options):
@@ -47,7 +47,7 @@ def test_help_answers_at_once():
     ("code", "heavy"),
     [
         (
-            "from pipeline.cli import app; app(['run', '--help'], standalone_mode=False)",
+            "from pipeline.commands.app import app; app(['run', '--help'], standalone_mode=False)",
             {"numpy", "scipy", "sklearn", "numba", "pyarrow", "laspy", "yaml"},
         ),
         # Until workers are being started: they import the same, side by side with this process.

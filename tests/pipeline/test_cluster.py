@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster, Security
 
-from pipeline import cli
 from pipeline.cluster import record
 from pipeline.cluster.batch_systems import Phase, batch_system
 from pipeline.cluster.cancelling import cancel_run
-from pipeline.cluster.parameters import BATCH_SYSTEMS
 from pipeline.cluster.security import cluster_security, scheduler_security
 from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
 from pipeline.cluster.submitting import run_script, submit_run
 from pipeline.cluster.workers import worker_job, worker_keywords
-from pipeline.configuration import load_configuration
+from pipeline.commands import app as cli
+from pipeline.configuration.cluster import BATCH_SYSTEMS
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import ClusterError, ConfigurationError, OutputError, WorkError
-from pipeline.resources import worker_memory_limit
-from pipeline.tiles.opening import job_key
+from pipeline.plan.resources import worker_memory_limit
+from pipeline.work.opening import job_key
 
 dask_jobqueue = pytest.importorskip("dask_jobqueue")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from pipeline.configuration import Configuration, load_configuration, ready_configurations
-from pipeline.configuration_page import configuration_page
+from pipeline.configuration.page import configuration_page
+from pipeline.configuration.run import Configuration, load_configuration, ready_configurations
 from pipeline.errors import ConfigurationError
 
 CONFIGS = (Path(__file__).parents[2] / "configs").glob("*.yaml")

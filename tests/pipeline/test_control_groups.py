@@ -5,7 +5,7 @@ import os
 import pytest
 
 from pipeline.control_groups import memory_left, processors
-from pipeline.machine import available_cores, available_memory
+from pipeline.plan.machine import available_cores, available_memory
 
 GIB = 1 << 30
 UNLIMITED = 9223372036854771712

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline import decoded
-from pipeline.decoded import read_map
+from pipeline.outputs import decoded
+from pipeline.outputs.decoded import read_map
 from pipeline.progress import LogDisplay, StageObserver
-from tiling.formats.collection import MapCollection
-from tiling.formats.npz import NpzReader
+from tiling.collection import MapCollection
+from tiling.formats.numpy.npz import NpzReader
 
 POINTS = np.random.default_rng(4).normal(size=(700, 3))
 

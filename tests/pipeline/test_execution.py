@@ -16,13 +16,15 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster, Worker
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import TasksFailedError
+from pipeline.plan.resources import worker_memory_limit
 from pipeline.progress import LogDisplay, StageObserver
-from pipeline.resources import worker_memory_limit
 from pipeline.run import run
-from pipeline.tiles import execution, local_dask, stages
-from pipeline.tiles.execution import (
+from pipeline.tiles import local_dask, stages
+from pipeline.work.folder import TaskReport
+from pipeline.workers import executors as execution
+from pipeline.workers.executors import (
     IN_FLIGHT_PER_WORKER,
     RETRIES,
     InProcess,
@@ -31,8 +33,7 @@ from pipeline.tiles.execution import (
     TaskFailure,
     local_workers,
 )
-from pipeline.tiles.fork_server import START_METHOD, stop_fork_server
-from pipeline.tiles.work import TaskReport
+from pipeline.workers.fork_server import START_METHOD, stop_fork_server
 
 # Workers cannot import the tests: what these hand them is sent whole.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -261,7 +262,7 @@ def surroundings(folder, number):
 
 def preloaded(folder, number):
     """Tell whether this process was forked from one that had imported all."""
-    return TaskReport(int("pipeline.tiles.preloaded" in sys.modules))
+    return TaskReport(int("pipeline.workers.preloaded" in sys.modules))
 
 
 def test_workers_of_this_machine_are_processes_of_one_thread_with_a_limit_and_a_death_is_told(

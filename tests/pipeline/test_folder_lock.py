@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import OutputError
-from pipeline.folder_lock import LOCK_FILE
-from pipeline.outputs import folder_is_locked, locked_folder
+from pipeline.outputs.folder import folder_is_locked, locked_folder
+from pipeline.outputs.folder_lock import LOCK_FILE
 
 
 @pytest.fixture(params=["folders", "files", "nothing"])

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.tiles.fork_server import START_METHOD
+from pipeline.workers.fork_server import START_METHOD
 
 pytestmark = pytest.mark.skipif(START_METHOD != "forkserver", reason="forks on Linux only")
 
 PREAMBLE = """
 import json, os, sys, threading, time
 from pathlib import Path
-from pipeline.tiles.fork_server import start_fork_server, stay_forkable
+from pipeline.workers.fork_server import start_fork_server, stay_forkable
 stay_forkable()
 import numpy as np
 
@@ -36,8 +36,8 @@ FITTING = (
     PREAMBLE
     + """
 from dynahull.clustering import fit_clusters
-from pipeline.configuration import load_configuration
-from pipeline.tiles.fitting import fitting
+from pipeline.configuration.run import load_configuration
+from pipeline.workers.fitting import fitting
 configuration = load_configuration(None, ["execution.workers=2", "clustering.count=3"])
 sample = np.random.default_rng(0).uniform(size=(500, 3))
 """
@@ -71,8 +71,8 @@ start_fork_server()
 os.close(lock)
 
 from multiprocessing import forkserver
-from pipeline.tiles.execution import local_workers
-from pipeline.tiles.work import TaskReport
+from pipeline.workers.executors import local_workers
+from pipeline.work.folder import TaskReport
 
 def held():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -89,7 +89,7 @@ def threads(folder, number):
     from threadpoolctl import threadpool_info
     counts = [pool["num_threads"] for pool in threadpool_info()]
     counts.append(numba.config.NUMBA_NUM_THREADS)
-    assert "pipeline.tiles.preloaded" in sys.modules
+    assert "pipeline.workers.preloaded" in sys.modules
     assert kept() > 75_000_000
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     return TaskReport(0, tuple(counts))
@@ -192,7 +192,7 @@ clean(np.random.default_rng(0).uniform(size=(500, 3)))  # compiled from now on
         before
         + """
 import json, sys
-import pipeline.tiles.preloaded
+import pipeline.workers.preloaded
 loaded = ["scipy.linalg" in sys.modules, "numba.np.arraymath" in sys.modules]
 import scipy.linalg
 print(json.dumps([*loaded, float(scipy.linalg.norm([3, 4]))]))
@@ -206,8 +206,8 @@ def test_the_server_ends_with_its_workers_and_another_takes_its_place():
         PREAMBLE
         + """
 from multiprocessing import forkserver
-from pipeline.tiles.execution import local_workers
-from pipeline.tiles.work import TaskReport
+from pipeline.workers.executors import local_workers
+from pipeline.work.folder import TaskReport
 
 def done(folder, number):
     return TaskReport(number)
@@ -237,8 +237,8 @@ def test_what_lies_in_the_current_folder_is_not_imported(word, tmp_path):
         (hostile / f"{name}.py").write_text("open('imported', 'w').write(__name__)\n")
     program = """
 import sys, threading, time
-from pipeline.tiles.execution import local_workers
-from pipeline.tiles.work import TaskReport
+from pipeline.workers.executors import local_workers
+from pipeline.work.folder import TaskReport
 if __name__ == "__main__":
     if sys.argv[-1] == "thread":
         threading.Thread(target=time.sleep, args=(60,), daemon=True).start()

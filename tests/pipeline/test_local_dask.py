@@ -14,8 +14,8 @@ from distributed import LocalCluster
 
 from pipeline.errors import ConfigurationError
 from pipeline.temporary import temporary_folder
-from pipeline.tiles.fork_server import start_fork_server, stop_fork_server
 from pipeline.tiles.local_dask import site_settings_aside, start_local_cluster
+from pipeline.workers.fork_server import start_fork_server, stop_fork_server
 
 NOBODY = 65534
 
@@ -155,8 +155,8 @@ SITE = {
 
 RUN = """
 import os
-from pipeline.tiles.execution import local_workers
-from pipeline.tiles.work import TaskReport
+from pipeline.workers.executors import local_workers
+from pipeline.work.folder import TaskReport
 
 def task(folder, number):
     return TaskReport(number, (int(os.environ["OMP_NUM_THREADS"]),))
@@ -191,7 +191,7 @@ def test_the_settings_of_a_site_do_not_reach_our_workers(tmp_path):
 
 def test_settings_that_cannot_be_read_are_named(tmp_path):
     (tmp_path / "dask.yaml").write_text("a: [", encoding="utf-8")
-    program = "from pipeline.tiles.execution import local_workers\nwith local_workers(2, 9): pass"
+    program = "from pipeline.workers.executors import local_workers\nwith local_workers(2, 9): pass"
     done = subprocess.run(
         [sys.executable, "-c", program], env={**os.environ, "DASK_CONFIG": str(tmp_path)},
         capture_output=True, text=True, timeout=300, check=False,

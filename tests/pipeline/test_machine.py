@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.machine import peak_memory
+from pipeline.plan.machine import peak_memory
 
 MIB = 2**20
 
@@ -23,7 +23,7 @@ def test_the_peak_holds_what_was_given_back():
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system has no /proc")
 def test_a_small_program_started_by_a_large_one_is_small():
     large = np.ones(32 * MIB)  # 256 MiB
-    program = "from pipeline.machine import peak_memory; print(peak_memory())"
+    program = "from pipeline.plan.machine import peak_memory; print(peak_memory())"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
     assert MIB < int(done.stdout) < 128 * MIB
     assert peak_memory() > large.nbytes
@@ -35,7 +35,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pipeline.machine import give_memory_back
+from pipeline.plan.machine import give_memory_back
 
 def held():
     lines = Path("/proc/self/status").read_text().splitlines()

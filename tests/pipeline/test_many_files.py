@@ -6,10 +6,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pipeline import map_state
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.work import map_state
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 

@@ -4,7 +4,7 @@ import laspy
 import numpy as np
 import pytest
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynahull.neighbours import nearest_neighbours
-from pipeline import nearest
-from pipeline.nearest import FreePoints, NearestSoFar
+from dynahull.reference.neighbours import nearest_neighbours
+from pipeline.tiles import nearest
+from pipeline.tiles.nearest import FreePoints, NearestSoFar
 
 
 @pytest.mark.parametrize("most_without_tree", [0, 10**9])

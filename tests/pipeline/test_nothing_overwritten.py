@@ -15,18 +15,18 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from pipeline import outputs
 from pipeline import run as run_module
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import OutputError
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.results import evaluate_files
-from pipeline.outputs import output_folder
+from pipeline.outputs import folder as outputs
+from pipeline.outputs.folder import output_folder
+from pipeline.planning import plan_map, tile_map
 from pipeline.preview import WHOLE, preview
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.simulation import SimulationParameters, write_simulation
-from pipeline.tiles.planning import plan_map, tile_map
 from pipeline.view import view_result
 from tiling.formats import open_map
 from tiling.output_file import create_file, write_only, writing_only_into
@@ -485,7 +485,7 @@ def test_nothing_but_the_output_folder_is_ever_opened_for_writing(tmp_path, comm
     before = state(tmp_path / "maps")
     maps = ["a.npy", "../../../a.npy"]
     words = [*command, "-o", str(tmp_path / "out"), *maps, *settings]
-    program = [sys.executable, "-c", "from pipeline.cli import main; main()"]
+    program = [sys.executable, "-c", "from pipeline.commands.app import main; main()"]
     subprocess.run([*program, *words], cwd=tmp_path / "maps/w/q/c", env=environment, check=True)
     assert state(tmp_path / "maps") == before
     places = {Path(line) for line in (tmp_path / "watched").read_text().splitlines()}

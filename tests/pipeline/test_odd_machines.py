@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import folder_lock
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
 from pipeline.home import in_home, user_name
+from pipeline.outputs import folder_lock
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save

@@ -8,15 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.results import evaluate_files
 from pipeline.info import inspect_map
+from pipeline.planning import tile_map
 from pipeline.preview import WHOLE, preview
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.showing import printable
-from pipeline.tiles.planning import tile_map
 from tests.pipeline.test_nothing_overwritten import FAST, FORMATS, TILED, map_of, save
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
@@ -98,7 +98,7 @@ def test_commands_work_in_any_locale(tmp_path, locale, name):
     } | LOCALES[locale]
     clean_it = ["run", given, "-o", tmp_path / f"out {name}"]
     settings = [f"--set={each}" for each in (*TILED[:-2], "execution.workers=2")]
-    program = [sys.executable, "-c", "from pipeline.cli import main; main()"]
+    program = [sys.executable, "-c", "from pipeline.commands.app import main; main()"]
     commands = [[*clean_it, *settings]]
     if name == ODD:
         commands += [["info", given, "--json"], ["plan", given], ["keys"]]

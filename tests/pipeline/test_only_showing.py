@@ -5,17 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from pipeline import plan_picture, progress
+from pipeline import progress
 from pipeline import run as run_module
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.evaluation import evaluate
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.results import evaluate_files
+from pipeline.plan import picture as plan_picture
+from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver, watching
 from pipeline.report_page.page import Views
 from pipeline.report_page.svg import Axis
 from pipeline.run import run
-from pipeline.tiles.planning import plan_map
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")

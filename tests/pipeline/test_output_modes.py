@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dynahull import Label
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import OutputError
-from pipeline.outputs import OutputNames, default_folder, output_folder
+from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from tiling.formats import open_map
 
 RESULTS = [Path("static.pcd"), Path("dynamic.pcd"), Path("run.json")]

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from dynahull.evidence.reasons import NO_REASON, REASONS
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.decision import Decision, Place, PlaceReason
+from pipeline.outputs.run_report import RunReport
 from pipeline.places import ARRAY_NAMES, FEWEST, MOST_LISTED, SIDE, SURROUNDINGS, DecisionSums
 from pipeline.progress import LogDisplay, StageObserver
-from pipeline.report import RunReport
 from pipeline.run import run
 
 

@@ -6,13 +6,13 @@ import laspy
 import numpy as np
 import pytest
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
 from pipeline.preview import PART_FOLDER, SMALLEST_SIDE, WHOLE, Window, preview, typical_window
 from pipeline.progress import LogDisplay, StageObserver
+from tiling.collection import MapCollection
 from tiling.formats import open_map
 from tiling.formats.base import PointBatch
-from tiling.formats.collection import MapCollection
 from tiling.survey import survey_batches
 
 FAST = ("ground.method=none", "clustering.count=2", "neighbours.k=10")
@@ -152,7 +152,7 @@ def test_a_map_of_no_finite_points_has_no_window():
 
 
 def command(*arguments, folder):
-    program = [sys.executable, "-c", "from pipeline.cli import main; main()", "preview"]
+    program = [sys.executable, "-c", "from pipeline.commands.app import main; main()", "preview"]
     return subprocess.run(
         [*program, *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False
     )

@@ -6,7 +6,7 @@ from io import StringIO
 import pytest
 
 from pipeline import progress
-from pipeline.cli import StandardErrorHandler
+from pipeline.commands.app import StandardErrorHandler
 from pipeline.progress import LogDisplay, StageObserver, TerminalDisplay, watching
 
 

@@ -10,7 +10,7 @@ import yaml
 
 from dynahull import Label, clean
 from pipeline import run as run_module
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import DiskSpaceError, InputChangedError, LostPointsError, OutputError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.removal import remove_least_dense
-from pipeline import selection
-from pipeline.selection import find_cuts
+from pipeline.tiles import thresholds as selection
+from pipeline.tiles.thresholds import find_cuts
 
 
 class Tile:

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from pipeline.cli import app
+from pipeline.commands.app import app
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation import (
     SimulationParameters,

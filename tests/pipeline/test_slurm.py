@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.configuration import configurations_folder, load_configuration
+from pipeline.configuration.run import configurations_folder, load_configuration
 from tests.pipeline.slurm_on_loopback import SlurmOnLoopback, wait_until, why_not
 from tests.test_documentation import BLOCKS
 

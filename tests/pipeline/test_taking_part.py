@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dynahull import Label, clean
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.info import inspect_map
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run

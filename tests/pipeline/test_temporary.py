@@ -11,7 +11,7 @@ import pytest
 
 from pipeline import temporary
 from pipeline.temporary import remove_leftovers
-from pipeline.tiles.fork_server import START_METHOD
+from pipeline.workers.fork_server import START_METHOD
 
 NOBODY = 65534
 SEMAPHORES = Path("/dev/shm")
@@ -85,7 +85,7 @@ def place():
 
 WORK = """
 import multiprocessing, time
-from pipeline.tiles.fork_server import start_fork_server
+from pipeline.workers.fork_server import start_fork_server
 from pipeline.temporary import temporary_folder
 if __name__ == "__main__":
     start_fork_server()

@@ -13,14 +13,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynahull import Label, clean
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.places import DecisionSums
-from pipeline.plan import decision_radius
+from pipeline.plan.plan import decision_radius
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import scores
+from tiling.collection import MapCollection
 from tiling.errors import GridError
-from tiling.formats.collection import MapCollection
 
 FAST = ["neighbours.k=8", "clustering.count=3", "execution.cluster=none", "output.labels=true"]
 SMALL_GROUND = [

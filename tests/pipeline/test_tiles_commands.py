@@ -17,9 +17,9 @@ import pyarrow.parquet as pq
 import pytest
 from distributed import LocalCluster
 
-from pipeline import cli
-from pipeline.configuration import load_configuration
-from pipeline.outputs import output_folder
+from pipeline.commands import app as cli
+from pipeline.configuration.run import load_configuration
+from pipeline.outputs.folder import output_folder
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
@@ -325,7 +325,7 @@ def killed(self, target):
     if self.name == {moment!r}:
         os.kill(os.getpid(), signal.SIGKILL)
 Path.rename = killed
-from pipeline.cli import main
+from pipeline.commands.app import main
 main()
 """
         settings = [each for setting in SMALL for each in ("--set", setting)]

@@ -9,13 +9,13 @@ import laspy
 import numpy as np
 import pytest
 
-from pipeline import cli
-from pipeline.configuration import load_configuration
+from pipeline.commands import app as cli
+from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.status import status_text
 from pipeline.tiles import stages
-from pipeline.tiles.status import status_text
-from pipeline.tiles.work import WORK_FOLDER
+from pipeline.work.folder import WORK_FOLDER
 
 SETTINGS = [
     "neighbours.k=8",
@@ -135,7 +135,7 @@ def killed(request, tmp_path_factory):
         return task(job, task_number)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.tiles.job.ROWS_AT_A_TIME", 300)
+        patch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
         patch.setattr("pipeline.tiles.writing.BATCH", 100)
         cleaned(map_file, place / "whole", wanted)
         patch.setitem(stages.TASKS, stage, killing)
@@ -146,7 +146,7 @@ def killed(request, tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def small_ranges(monkeypatch):
-    monkeypatch.setattr("pipeline.tiles.job.ROWS_AT_A_TIME", 300)
+    monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
     monkeypatch.setattr("pipeline.tiles.writing.BATCH", 100)
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from pipeline import in_tiles
-from pipeline.borders import Region
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
+from pipeline.tiles.borders import Region
 from pipeline.tiles.division import SIDES, divided
-from pipeline.tiles.execution import local_workers
+from pipeline.workers.executors import local_workers
 
 # Workers cannot import the tests: what these hand them is sent whole.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

@@ -14,19 +14,25 @@ import numpy as np
 import pytest
 
 from pipeline import run as run_module
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import InputChangedError, OutputError, PipelineError, TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.tiles import opening, stages
-from pipeline.tiles.job import CREATING
+from pipeline.status import status_text
+from pipeline.tiles import stages
 from pipeline.tiles.sealed import read_sealed, write_sealed
-from pipeline.tiles.status import status_text
-from pipeline.tiles.work import WorkFolder
+from pipeline.work import opening
+from pipeline.work.folder import WorkFolder
+from pipeline.work.job import CREATING
 from tiling.errors import MapFormatError, TilingError
 from tiling.ledger import noting
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import leave_at_once; leave_at_once()", "run"]
+COMMAND = [
+    sys.executable,
+    "-c",
+    "from pipeline.commands.app import leave_at_once; leave_at_once()",
+    "run",
+]
 SETTINGS = [
     "neighbours.k=8",
     "clustering.count=3",
@@ -191,7 +197,7 @@ def test_a_map_that_must_be_decoded_is_read_once_before_it_is_cut(
 ):
     packed = tmp_path / "map.npz"
     np.savez_compressed(packed, np.load(map_file))
-    monkeypatch.setattr("pipeline.tiles.job.ROWS_AT_A_TIME", 300)
+    monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
     fault = Fault(monkeypatch, "cut", 1, ValueError("no luck"))
     with pytest.raises(TasksFailedError):
         cleaned(packed, tmp_path / "out")
@@ -309,7 +315,7 @@ def test_a_map_that_is_changed_and_put_back_around_a_kill_is_not_mixed(
         np.save(map_file, np.load(map_file) * [1, 1, 0.5])
         return task(job, number) if when == "before" else report
 
-    monkeypatch.setattr("pipeline.tiles.job.ROWS_AT_A_TIME", 400)
+    monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 400)
     monkeypatch.setattr("pipeline.tiles.writing.BATCH", 200)
     with monkeypatch.context() as patch:
         patch.setitem(stages.TASKS, stage, meddling)

@@ -13,10 +13,10 @@ import pytest
 
 from dynahull import Label
 from pipeline import view
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import MissingViewerError, OutputError
+from pipeline.outputs.reading import read_result
 from pipeline.progress import LogDisplay, StageObserver
-from pipeline.result import read_result
 from pipeline.run import run
 from pipeline.view import LABEL_COLOURS, density_colours, view_result
 

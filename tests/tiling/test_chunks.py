@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 from tiling import pieces
 from tiling.chunk_store import ChunkStore
 from tiling.chunks import assemble, read_chunk, read_cores
+from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
-from tiling.formats.collection import MapCollection
-from tiling.formats.grid import Grid
+from tiling.grid import Grid
 from tiling.layout import quadtree
 from tiling.pieces import write_pieces
 from tiling.survey import survey

@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tiling.collection import MapCollection, content_hash, find_map_files
 from tiling.errors import MapFormatError, NoMapError, TilingError, UnknownFormatError
-from tiling.formats.collection import MapCollection, content_hash, find_map_files
 
 
 @pytest.fixture

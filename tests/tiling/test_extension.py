@@ -10,7 +10,7 @@ import pytest
 
 from tiling.errors import MapFormatError
 from tiling.formats import Field, MapReader, open_map
-from tiling.formats.las_header import read_header
+from tiling.formats.las.header import read_header
 
 FIELDS = (Field("label", "uint8"), Field("density", "float64"))
 VERSION_AND_FORMATS = [

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tiling.collection import MapCollection
+from tiling.common_grid import grid_of
 from tiling.errors import GridError
-from tiling.formats.collection import MapCollection
-from tiling.formats.grid import Grid
-from tiling.grid import grid_of
+from tiling.grid import Grid
 from tiling.survey import survey
 
 

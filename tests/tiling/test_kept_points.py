@@ -4,8 +4,8 @@ import laspy
 import numpy as np
 import pytest
 
+from tiling.collection import MapCollection
 from tiling.errors import ChunkError
-from tiling.formats.collection import MapCollection
 from tiling.kept_points import KeptPoints, bytes_kept
 
 XYZ = np.random.default_rng(2).normal(size=(11, 3)).round(3)

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from tiling.errors import MapFormatError, PointCountError
 from tiling.formats import open_map
-from tiling.formats.las import LasReader
-from tiling.formats.las_fields import standard_fields
-from tiling.formats.las_header import read_header
-from tiling.formats.laz import laszip_is_installed
+from tiling.formats.las.fields import standard_fields
+from tiling.formats.las.header import read_header
+from tiling.formats.las.laz import laszip_is_installed
+from tiling.formats.las.reader import LasReader
 
 VERSION_AND_FORMATS = [
     (f"1.{minor}", point_format)
@@ -306,7 +306,7 @@ def test_version_4_items_are_read_by_laszip_or_refused(shared_data, monkeypatch)
     reader = LasReader(shared_data / "formats" / VERSION_4_ITEMS)
     if laszip_is_installed():
         assert len(records_of(reader, 100)) == 1024
-    monkeypatch.setattr("tiling.formats.las.laszip_is_installed", lambda: False)
+    monkeypatch.setattr("tiling.formats.las.reader.laszip_is_installed", lambda: False)
     with pytest.raises(MapFormatError, match="version 4 with several scanner channels"):
         records_of(reader)
 
@@ -523,7 +523,7 @@ def test_a_fault_of_the_disk_is_not_the_files(tmp_path, monkeypatch):
         self.fault = OSError("the disk is gone")
         raise self.fault
 
-    monkeypatch.setattr("tiling.formats.laz._Window._read_points", fail)
+    monkeypatch.setattr("tiling.formats.las.laz._Window._read_points", fail)
     with pytest.raises(OSError, match="the disk is gone"):
         records_of(reader)
 

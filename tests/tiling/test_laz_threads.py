@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.errors import MapFormatError
-from tiling.formats import MapReader, laz_chunks, open_map
-from tiling.formats.las_header import read_header
-from tiling.formats.laz_chunks import split_into_chunks, split_into_stretches
-from tiling.formats.laz_header import read_compression
+from tiling.formats import MapReader, open_map
+from tiling.formats.las import laz_chunks
+from tiling.formats.las.header import read_header
+from tiling.formats.las.laz_chunks import split_into_chunks, split_into_stretches
+from tiling.formats.las.laz_header import read_compression
 
 COUNT = 300
 CHUNK = 7

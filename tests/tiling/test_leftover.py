@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tiling.collection import MapCollection
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
-from tiling.formats.collection import MapCollection
 
 COUNT = 40
 POINTS = np.random.default_rng(7).uniform(-9, 9, (COUNT, 3))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.errors import MapFormatError
-from tiling.formats import lzf
+from tiling.formats.pcd import lzf
 
 PATH = Path("map.pcd")
 

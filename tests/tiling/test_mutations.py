@@ -12,9 +12,9 @@ import tracemalloc
 import pytest
 
 from tests.tiling.test_leftover import COUNT, MAKERS
+from tiling.collection import MapCollection
 from tiling.errors import TilingError
 from tiling.formats import open_map
-from tiling.formats.collection import MapCollection
 
 TIMES = 60
 MOST_BYTES = 200e6

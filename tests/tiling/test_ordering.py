@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tiling.ordering import ascending_order
+from tiling.morton import ascending_order
 
 
 @given(

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiling.collection import MapCollection
 from tiling.errors import MapFormatError, RowRangeError
 from tiling.formats import MapReader, open_map
-from tiling.formats.collection import MapCollection
 
 COUNT = 700
 XYZ = np.random.default_rng(5).normal(size=(COUNT, 3)).round(3)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling import occupancy as occupancy_module
+from tiling.collection import MapCollection
 from tiling.formats import PointBatch
-from tiling.formats.collection import MapCollection
 from tiling.occupancy import FINEST_CELL, columns_of
 from tiling.survey import Survey, merge, survey, survey_batches
 

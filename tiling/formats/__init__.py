@@ -22,13 +22,13 @@ __all__ = [
 
 # Modules are imported when a file of theirs is opened: each brings a library that others need not.
 _READERS = {
-    ".pcd": ("tiling.formats.pcd", "PcdReader"),
-    ".las": ("tiling.formats.las", "LasReader"),
-    ".laz": ("tiling.formats.las", "LasReader"),
-    ".ply": ("tiling.formats.ply", "PlyReader"),
+    ".pcd": ("tiling.formats.pcd.reader", "PcdReader"),
+    ".las": ("tiling.formats.las.reader", "LasReader"),
+    ".laz": ("tiling.formats.las.reader", "LasReader"),
+    ".ply": ("tiling.formats.ply.reader", "PlyReader"),
     ".parquet": ("tiling.formats.parquet", "ParquetReader"),
-    ".npy": ("tiling.formats.npy", "NpyReader"),
-    ".npz": ("tiling.formats.npz", "NpzReader"),
+    ".npy": ("tiling.formats.numpy.npy", "NpyReader"),
+    ".npz": ("tiling.formats.numpy.npz", "NpzReader"),
 }
 
 MAP_SUFFIXES = tuple(_READERS)

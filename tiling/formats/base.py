@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from tiling.errors import PartsError, PointCountError, RowRangeError
 from tiling.foreign_text import LONGEST_MESSAGE, printable
-from tiling.formats.grid import Grid
 from tiling.formats.units import Units
+from tiling.grid import Grid
 
 if TYPE_CHECKING:
     from tiling.formats.extension import ExtendedFormat

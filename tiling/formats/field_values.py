@@ -51,7 +51,7 @@ def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
 
 
 def _pcd_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
-    from tiling.formats.pcd_header import read_header  # noqa: PLC0415
+    from tiling.formats.pcd.header import read_header  # noqa: PLC0415
 
     path = reader.description.path
     with path.open("rb") as stream:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from typing import BinaryIO
 
 from tiling.errors import MapFormatError
-from tiling.formats.las_header import LasHeader
-from tiling.formats.laz_chunks import check_chunk_count
-from tiling.formats.laz_header import Compression
+from tiling.formats.las.header import LasHeader
+from tiling.formats.las.laz_chunks import check_chunk_count
+from tiling.formats.las.laz_header import Compression
 from tiling.formats.leftover import check_leftover
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyarrow.lib import ArrowInvalid, LargeStringArray, float64, py_buffer
 
+from tiling.compiled import compiled, helper
 from tiling.errors import MapFormatError
-from tiling.formats.compiled import compiled, helper
 
 BLOCK = 2 << 20
 """Bytes of text read at a time."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.compare.scene import Scene
-from pipeline.configuration import load_parameters
+from pipeline.configuration.run import load_parameters
 from pipeline.evaluation.labels import Truth
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
 

@@ -9,7 +9,7 @@ import numpy as np
 from dynahull.progress import SilentObserver
 from pipeline.evaluation.row_values import RowValues
 from pipeline.evaluation.tiled_cloud import CloudSource, cut_clouds
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 
 
 def source_of(path, xyz, labels=None, removed=None, chosen=None):

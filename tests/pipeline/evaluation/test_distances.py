@@ -5,8 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.evaluation.distance_file import DistanceFile
-from pipeline.evaluation.distances import ChamferDistance, DirectedChamfer, DistanceStatistics
+from pipeline.evaluation.distances import (
+    ChamferDistance,
+    DirectedChamfer,
+    DistanceFile,
+    DistanceStatistics,
+)
 from pipeline.evaluation.order_statistics import order_statistics
 
 
@@ -95,7 +99,7 @@ def test_the_number_of_a_rank_is_that_of_a_sort(numbers, data):
 
 
 def test_a_file_gives_distances_back_in_batches(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.evaluation.distance_file._AT_A_TIME", 4)
+    monkeypatch.setattr("pipeline.evaluation.distances._AT_A_TIME", 4)
     file = DistanceFile(tmp_path / "distances")
     assert list(file) == []
     file.append(np.arange(5.0))

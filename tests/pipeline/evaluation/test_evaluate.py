@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.errors import (
     ConfigurationError,
     EvaluationError,
@@ -30,7 +30,7 @@ from tiling.errors import MapFormatError
 COMMAND = [
     sys.executable,
     "-c",
-    "from pipeline.cli import leave_at_once; leave_at_once()",
+    "from pipeline.commands.app import leave_at_once; leave_at_once()",
     "evaluate",
 ]
 NO_TRANSPORT = EvaluationOptions(emd_points=0)

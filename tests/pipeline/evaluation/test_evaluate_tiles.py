@@ -134,7 +134,7 @@ def test_temporary_files_are_gone_after_success_and_failure(walls, temporary, mo
 
 def test_more_than_the_disk_holds_is_refused_before_the_work(walls, temporary, monkeypatch):
     usage = type("Usage", (), {"free": 10_000})
-    monkeypatch.setattr("pipeline.resources.shutil.disk_usage", lambda _: usage)
+    monkeypatch.setattr("pipeline.plan.resources.shutil.disk_usage", lambda _: usage)
     with pytest.raises(
         DiskSpaceError, match=r"temporary/\S+: .* 16\.5 KiB of temp.* \(TMPDIR names"
     ):
@@ -154,7 +154,7 @@ def test_memory_does_not_grow_with_the_map(tmp_path):
         script = (
             "from pipeline.evaluation import tiled_cloud\n"
             "tiled_cloud.TILE_POINTS, tiled_cloud.BATCH = 60_000, 30_000\n"
-            "from pipeline.cli import leave_at_once; leave_at_once()"
+            "from pipeline.commands.app import leave_at_once; leave_at_once()"
         )
         files = {name: str(tmp_path / name) for name in ("cleaned.npy", "map.npy", "all.json")}
         command = [

@@ -14,7 +14,7 @@ from pipeline.evaluation.labels import (
     read_labels_of_map,
     to_truth,
 )
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 
 MOVED = (range(1, 2),)
 

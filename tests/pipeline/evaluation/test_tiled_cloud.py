@@ -13,7 +13,7 @@ from pipeline.evaluation.row_values import RowReader, RowValues
 from pipeline.evaluation.sample import draw_sample
 from pipeline.evaluation.tiled_cloud import CloudSource, check_points, voxel_cells
 from tests.pipeline.evaluation.clouds import cut, source_of
-from tiling.formats.collection import MapCollection
+from tiling.collection import MapCollection
 
 anew = settings(
     deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]

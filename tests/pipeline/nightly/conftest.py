@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.nightly.clock import NightEnd
-from pipeline.nightly.exchange import Ended
 from pipeline.nightly.night import clean_nightly
-from pipeline.nightly.one_map import clean_one
+from pipeline.nightly.one_map import Ended, clean_one
 from pipeline.nightly.results import MapFolder, map_name
 from pipeline.nightly.settings import load_nightly_settings
 from pipeline.progress import LogDisplay, StageObserver

@@ -13,7 +13,7 @@ import pytest
 from pipeline.nightly.install import crontab_line, install_text, systemd_service
 from pipeline.nightly.settings import load_nightly_settings
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "nightly"]
+COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()", "nightly"]
 AWKWARD = 'it\'s 100% of "my" $HOME maps'
 
 

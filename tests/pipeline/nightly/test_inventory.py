@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.nightly.exchange import Ended
 from pipeline.nightly.inventory import find_maps, learn_content
+from pipeline.nightly.one_map import Ended
 
 NOBODY = 65534
 

@@ -7,10 +7,10 @@ import sys
 import pytest
 
 from pipeline.errors import NightLockedError
-from pipeline.nightly.lock import LOCK_FILE, night_lock
+from pipeline.outputs.folder_lock import LOCK_FILE, night_lock
 
 HOLD = (
-    "import sys; from pathlib import Path; from pipeline.nightly.lock import night_lock\n"
+    "import sys; from pathlib import Path; from pipeline.outputs.folder_lock import night_lock\n"
     "with night_lock(Path(sys.argv[1])):\n"
     "    print('held', flush=True); sys.stdin.read()\n"
 )

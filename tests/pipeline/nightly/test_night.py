@@ -7,9 +7,9 @@ import os
 import pytest
 
 from pipeline.errors import NightlyError
-from pipeline.nightly.exchange import Ended
 from pipeline.nightly.inventory import last_change
 from pipeline.nightly.journal import Attempt, Journal
+from pipeline.nightly.one_map import Ended
 from pipeline.nightly.results import is_finished
 from pipeline.tiles import stages
 

@@ -9,8 +9,7 @@ import pytest
 
 from pipeline.errors import NightlyError
 from pipeline.nightly import night, results
-from pipeline.nightly.exchange import Request
-from pipeline.nightly.one_map import clean_one
+from pipeline.nightly.one_map import Request, clean_one
 from pipeline.progress import LogDisplay, StageObserver
 
 SECRET = "root:$6$top.secret:19000\x1b[2J"

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from pipeline.nightly import cleaner as cleaner_module
 from pipeline.nightly.cleaner import ChildProcess
-from pipeline.nightly.lock import night_lock
 from pipeline.nightly.results import tasks_done
-from pipeline.outputs import folder_is_locked
+from pipeline.outputs.folder import folder_is_locked
+from pipeline.outputs.folder_lock import night_lock
 
-COMMAND = [sys.executable, "-c", "from pipeline.cli import main; main()", "nightly"]
+COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()", "nightly"]
 PATIENCE = 300.0
 """Seconds that nothing here takes but on a machine that is very busy."""
 

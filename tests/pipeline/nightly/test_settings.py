@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pipeline.configuration import configurations_folder
+from pipeline.configuration.run import configurations_folder
 from pipeline.errors import ConfigurationError
 from pipeline.nightly.inventory import find_maps
 from pipeline.nightly.settings import load_nightly_settings

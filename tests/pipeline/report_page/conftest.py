@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 

@@ -6,12 +6,12 @@ import pytest
 import dynahull
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
+from pipeline.outputs import map_sample as sample_module
+from pipeline.outputs.map_sample import MapSample
+from pipeline.outputs.run_report import ClusterReport
 from pipeline.places import DecisionSums
-from pipeline.report import ClusterReport
-from pipeline.report_page import sample as sample_module
 from pipeline.report_page.amounts import NEVER, confidence_amounts, removal_amounts
 from pipeline.report_page.encoding import AMOUNT_CODES, NEVER_CODE, encode
-from pipeline.report_page.sample import MapSample
 
 
 def cleaned(points, removal):

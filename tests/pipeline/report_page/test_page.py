@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import pytest
 import yaml
 
-from pipeline.configuration import load_configuration
+from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 

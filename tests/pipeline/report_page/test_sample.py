@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.labels import Label
-from pipeline.report_page import sample as sample_module
-from pipeline.report_page.sample import ARRAY_NAMES, MapSample, is_sampled, sampled_rows
+from pipeline.outputs import map_sample as sample_module
+from pipeline.outputs.map_sample import ARRAY_NAMES, MapSample, is_sampled, sampled_rows
 
 
 def whole_map(count: int) -> MapSample:

@@ -1,0 +1,1 @@
+"""The plain versions: the oracles that the compiled code is tested against."""

@@ -1,0 +1,343 @@
+"""The command line. Heavy imports live inside the commands, so that `--help` answers at once."""
+
+import atexit
+import gc
+import io
+import json
+import logging
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn, TextIO
+
+import typer
+
+from pipeline.commands.cluster import cancel_command, submit_command
+from pipeline.commands.evaluate import evaluate_command
+from pipeline.commands.nightly import nightly_command
+from pipeline.commands.options import (
+    TLS,
+    ClusterName,
+    ConfigurationSource,
+    Maps,
+    Output,
+    Scheduler,
+    Settings,
+    check_encryption,
+    worker_settings,
+)
+from pipeline.commands.preview import preview_command
+from pipeline.commands.tiles import (
+    clean_command,
+    plan_command,
+    status_command,
+    tile_command,
+)
+from tiling.foreign_text import LONGEST_LINE, printable
+
+EXIT_FAILURE = 1
+EXIT_USAGE = 2
+EXIT_BAD_INPUT = 3
+EXIT_INTERRUPTED = 130
+EXIT_NOT_READ = 141
+
+_OBJECTS_BEFORE_COLLECTION = 50_000
+"""New objects after which Python looks for garbage among them; it does so after 700 by default."""
+
+logger = logging.getLogger("dynahull")
+
+app = typer.Typer(
+    name="dynahull-pipeline",
+    help="Remove the ghosts of moving things from a finished LiDAR map (DynaHull, arXiv "
+    "2401.07541).",
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 a map cannot be read, "
+    "130 interrupted; `nightly` has more, see its help.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+class StandardErrorHandler(logging.StreamHandler[TextIO]):
+    """Logs to what standard error is now: a progress bar puts itself in its place meanwhile."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> TextIO:
+        """Standard error."""
+        return sys.stderr
+
+    @stream.setter
+    def stream(self, stream: TextIO) -> None:
+        raise AttributeError("the stream is standard error, whatever that is")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version  # noqa: PLC0415
+
+        typer.echo(version("dynahull-pipeline"))
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Take the options of every command."""
+
+
+@app.command("run")
+def run_command(
+    maps: Maps,
+    output: Output = None,
+    config: ConfigurationSource = None,
+    settings: Settings = None,
+    labels: Annotated[
+        bool,
+        typer.Option("--labels", help="Write label, cluster and density of every point as well."),
+    ] = False,
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Start over, whatever an earlier run left half done."),
+    ] = False,
+    keep_work: Annotated[
+        bool,
+        typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
+    ] = False,
+    scheduler: Scheduler = None,
+    cluster: ClusterName = None,
+    tls: TLS = False,
+) -> None:
+    """Clean a map: write it without its ghosts, and the ghosts beside it.
+
+    A run that was interrupted goes on where it was when the same command is given again.
+    """
+    from pipeline.workers.fork_server import stay_forkable  # noqa: PLC0415
+
+    stay_forkable()
+    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+    from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.run import run  # noqa: PLC0415
+
+    wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
+    wanted += ["output.keep_work=true"] if keep_work else []
+    wanted += worker_settings(scheduler, cluster, tls)
+    if output == "":
+        raise ConfigurationError("-o: expected a folder, found nothing")
+    configuration = load_configuration(config, wanted)
+    check_encryption(configuration, tls)
+    with watching() as observer:
+        report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
+    typer.echo(report.summary())
+
+
+@app.command("info")
+def info_command(
+    maps: Maps,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show what a map holds: format, points, fields, bounds, CRS, non-finite points, duplicates."""
+    from pipeline.info import inspect_map  # noqa: PLC0415
+
+    info = inspect_map(maps)
+    typer.echo(json.dumps(info.model_dump(mode="json"), indent=2) if as_json else info.to_text())
+
+
+@app.command("view")
+def view_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Write a recording to open elsewhere instead."),
+    ] = None,
+) -> None:
+    """Open a result in a window, coloured by label and by density (needs the extra `rerun`)."""
+    from pipeline.view import view_result  # noqa: PLC0415
+
+    view_result(folder, save)
+
+
+@app.command("simulate")
+def simulate_command(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the map.")
+    ] = Path("simulated"),
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE",
+            help="Of boxes: indoor (default), storeys, ramp or street. Of meshes, with Open3D: "
+            "office, lobby, warehouse, garage, corridor, stairs, park, room; street with --sensor.",
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SENSOR",
+            help="Of scenes of meshes: vlp16 (default), ring32, ring64, os64 or mid360.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Seed of plan, people, noise and drift; 0 if not given."),
+    ] = None,
+    points: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Points of the map, exactly; more blocks of scene are added as needed.",
+        ),
+    ] = None,
+    map_only: Annotated[
+        bool | None,
+        typer.Option(
+            "--map-only/--all",
+            help="Leave out the scans, the static truth and the low-activity map. "
+            "All is the default, and the map only with --points.",
+            show_default=False,
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One parameter, such as walkers=20."),
+    ] = None,
+) -> None:
+    """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
+    from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.simulation import load_simulation, write_simulation  # noqa: PLC0415
+
+    given = {"scene": scene, "sensor": sensor, "seed": seed, "points": points}
+    options = [f"{name}={value}" for name, value in given.items() if value is not None]
+    parameters = load_simulation([*(settings or []), *options])
+    map_only = parameters.points is not None if map_only is None else map_only
+    with watching() as observer:
+        observer.stage("simulate", parameters.expected_points)
+        files = write_simulation(parameters, output, map_only=map_only, advance=observer.advance)
+    typer.echo(f"written: {files.map} and its truth beside it")
+
+
+@app.command("keys")
+def keys_command() -> None:
+    """Show every key of the configuration: its meaning, unit, default, and what is allowed."""
+    from pipeline.configuration.page import configuration_page  # noqa: PLC0415
+
+    typer.echo(configuration_page(), nl=False)
+
+
+app.command("plan")(plan_command)
+app.command("tile")(tile_command)
+app.command("status")(status_command)
+app.command("clean")(clean_command)
+app.command("submit")(submit_command)
+app.command("cancel")(cancel_command)
+app.command("evaluate")(evaluate_command)
+app.command("nightly")(nightly_command)
+app.command("preview")(preview_command)
+
+
+def main() -> NoReturn:
+    """Run the command line, and turn every error that is expected into one line."""
+    _open_streams()
+    logging.basicConfig(
+        level=logging.WARNING,
+        format="%(asctime)s %(levelname)s %(message)s",
+        handlers=[StandardErrorHandler()],
+    )
+    logger.setLevel(logging.INFO)
+    # A scheduler stops a job with SIGTERM, a lost terminal with SIGHUP: leave through the same door
+    # as Ctrl-C, tidily.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+    output = sys.stdout
+    try:
+        app()
+    except SystemExit as ended:
+        if ended.code == EXIT_FAILURE and sys.stdout is not output:
+            # Typer's own end where the reader of the output has gone. Other tools die of that
+            # signal: so do pipes see it here, and it is not taken for a failure of the command.
+            sys.exit(EXIT_NOT_READ)
+        if ended.code == EXIT_INTERRUPTED:  # Typer's own end of Ctrl-C, which says nothing
+            _fail("interrupted", EXIT_INTERRUPTED)
+        raise
+    except Exception as error:
+        code = _expected_exit_code(error)
+        if code is None:
+            logger.exception("this is a defect of dynahull-pipeline; please report it")
+            sys.exit(EXIT_FAILURE)
+        message = " ".join(str(error).split()) or type(error).__name__
+        _fail(printable(message, LONGEST_LINE), code)
+    sys.exit(0)
+
+
+def _open_streams() -> None:
+    """Make up for streams that the caller closed, and let no name that is not text end a command.
+
+    A file that is opened later would else get the number of a closed stream, and whatever is
+    printed there.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            stream = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, stream)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def leave_at_once() -> NoReturn:
+    """Run the command line in a process of its own.
+
+    Python takes half a second to take itself down with all libraries loaded; the system takes none.
+    What libraries have to do at the end, such as to remove their temporary files, they do.
+    """
+    # Imports make many objects and no garbage; to look for it takes a tenth of their time.
+    gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
+    try:
+        main()
+    except SystemExit as ended:
+        sys.stdout.flush()
+        if isinstance(ended.code, int):
+            atexit._run_exitfuncs()
+            os._exit(ended.code)
+        raise
+
+
+def _expected_exit_code(error: Exception) -> int | None:
+    """Return the exit code of an error that users can act on, None for a defect."""
+    from dynahull.errors import (  # noqa: PLC0415
+        DynaHullError,
+        InvalidParametersError,
+        MissingClassificationError,
+    )
+    from pipeline.errors import ConfigurationError, PipelineError  # noqa: PLC0415
+    from tiling.errors import ChunkError, TilingError  # noqa: PLC0415
+
+    if isinstance(error, ConfigurationError | InvalidParametersError):
+        return EXIT_USAGE
+    if isinstance(error, ChunkError):  # it is about work, and not about the map
+        return EXIT_FAILURE
+    if isinstance(error, TilingError | MissingClassificationError):
+        return EXIT_BAD_INPUT
+    if isinstance(error, DynaHullError | PipelineError | OSError | MemoryError):
+        return EXIT_FAILURE
+    return None
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(code)

@@ -1,0 +1,79 @@
+"""Every key of the configuration as a page: what it is, its unit, what is allowed, the default.
+
+dynahull-pipeline keys > docs/configuration.md
+"""
+
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from pipeline.configuration.run import Configuration, ready_configurations
+
+_INTRODUCTION = """\
+# Configuration
+
+One YAML file of sections and keys, given with `-c`, or a ready configuration by name: {ready}.
+A single key is set with `--set section.key=value`. Keys that do not exist are refused, with the
+nearest that does. `config.yaml` beside every result holds all keys as they were used, and given
+back with `-c` repeats the run. This page is what `dynahull-pipeline keys` prints.
+"""
+
+
+_WORDS: dict[Any, str] = {
+    str: "text",
+    int: "whole number",
+    float: "number",
+    bool: "true, false",
+    type(None): "null",
+}
+
+
+def configuration_page() -> str:
+    """Return the page, as Markdown."""
+    ready = ", ".join(f"`{name}`" for name in ready_configurations())
+    return _INTRODUCTION.format(ready=ready) + "\n" + _tables(Configuration, "")
+
+
+def _tables(model: type[BaseModel], place: str) -> str:
+    """Return a table of the model's own keys, followed by those of its sections."""
+    rows, sections = [], []
+    for name, field in model.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            sections.append(_tables(inner, f"{place}{name}."))
+        else:
+            default, allowed = _written(field.default), _allowed(field)
+            rows.append(f"| `{place}{name}` | {default} | {allowed} | {field.description} |")
+    table = ["| key | default | allowed | |", "|---|---|---|---|", *rows, ""] if rows else []
+    heading = [f"## {place.rstrip('.')}", ""] if place else []
+    return "\n".join([*heading, *table, *sections])
+
+
+def _written(value: object) -> str:
+    """Return a value as YAML writes it."""
+    return str(yaml.safe_dump(value, default_flow_style=None)).split("\n", maxsplit=1)[0]
+
+
+def _allowed(field: FieldInfo) -> str:
+    """Return what a key may hold: its choices, or its type and bounds."""
+    options = get_args(field.annotation) or (field.annotation,)
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(f"`{option}`" for option in options)
+    if get_origin(field.annotation) is tuple:
+        return "list of text" if get_args(field.annotation)[0] is str else "list of whole numbers"
+    kinds, bounds = [], list(field.metadata)
+    for option in options:
+        if get_origin(option) is Annotated:
+            option, *constraints = get_args(option)  # noqa: PLW2901 (the type within)
+            for constraint in constraints:
+                bounds += getattr(constraint, "metadata", [])
+        kinds.append(_WORDS.get(option) or ", ".join(f"`{choice}`" for choice in get_args(option)))
+    limits = [
+        f"{sign} {getattr(bound, name):g}"
+        for bound in bounds
+        for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+        if hasattr(bound, name)
+    ]
+    return ", ".join([*kinds, *limits])

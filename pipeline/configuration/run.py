@@ -1,0 +1,293 @@
+"""The configuration of a run: one YAML file, small models, unknown keys refused."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from dynahull.labels import Label
+from dynahull.parameters import MethodParameters, validation_message
+from pipeline.configuration.cluster import BATCH_SYSTEMS, BatchSystemName, ClusterParameters
+from pipeline.configuration.quantities import Bytes, Size
+from pipeline.errors import ConfigurationError
+
+_NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
+"""What PyYAML raises: ValueError for a date like 2024-13-45, RecursionError for deep brackets."""
+
+NIGHTLY_EXAMPLE = "nightly.yaml"
+"""Lies beside the ready configurations, and is none: it says what is cleaned every night."""
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class ExecutionParameters(BaseModel):
+    """How the work is spread over the machine; the result does not depend on it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    cluster: Literal["local", "none"] | BatchSystemName = Field(
+        "local",
+        description="Where tiles are worked on. `local`: workers on this machine, one process "
+        "each. `none`: this process, one tile after the other. Others: workers that this batch "
+        "system starts, as the section `cluster` says.",
+    )
+    scheduler: str | None = Field(
+        None,
+        description="Address of a Dask scheduler that is running, such as tcp://10.0.0.1:8786; its "
+        "workers are used instead.",
+    )
+    workers: Annotated[int, Field(ge=1, strict=True)] | Literal["auto"] = Field(
+        "auto",
+        description="Workers, or threads where the map is one tile; `auto`: one for each "
+        "available core.",
+    )
+    memory: Bytes | Literal["auto"] = Field(
+        "auto",
+        description="Memory of a worker, such as 2GiB; `auto`: its share of what is free. What "
+        "would take more is refused before any work.",
+    )
+
+
+class TilingParameters(BaseModel):
+    """How a map is cut; the result does not depend on it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    max_points: int = Field(
+        1_000_000,
+        ge=1,
+        description="Points of a tile, at most, its halo not counted. A map of no more is cleaned "
+        "in memory.",
+    )
+    halo: Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"] = Field(
+        "auto",
+        description="Width of the overlap around a tile, metres; `auto`: what ground and "
+        "neighbours need. A narrower one is made up for by reading other tiles.",
+    )
+    format: Literal["parquet", "las", "laz"] = Field(
+        "parquet",
+        description="Of the chunks. `las` and `laz` are for maps whose coordinates lie on a grid.",
+    )
+
+
+Class = Annotated[int, Field(ge=0, le=255, strict=True)] | Literal["keep"]
+
+
+class ClassParameters(BaseModel):
+    """Classes that points of each label get in a labelled LAS or LAZ map; `keep`: their own."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    static: Class = Field("keep", description="Of what was scored and stays.")
+    dynamic: Class = Field(
+        7, description="Of what would be removed; 7 is noise (ASPRS), which LAS tools leave out."
+    )
+    ground: Class = Field(2, description="Of the ground; 2 is ground (ASPRS).")
+    above: Class = Field("keep", description="Of what `max_height` sets aside.")
+    unscored: Class = Field(
+        "keep", description="Of noise, strays, and what is in a cluster of too few points."
+    )
+    invalid: Class = Field(
+        "keep", description="Of points whose coordinates are not finite, or a heap at the origin."
+    )
+
+    def of_labels(self) -> dict[Label, int | None]:
+        """Return the class of each label, None for the points' own."""
+        given = {label: getattr(self, label.title) for label in Label}
+        return {label: None if value == "keep" else value for label, value in given.items()}
+
+
+class OutputParameters(BaseModel):
+    """What is written beside the cleaned map."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    mode: Literal["split", "label"] = Field(
+        "split",
+        description="`split`: what stays and what goes, in a file each. `label`: all points in one "
+        "file, with the fields `label` and `density`, `score` where evidence is weighed, and LAS "
+        "classes by `output.classes`.",
+    )
+    keep_work: bool = Field(
+        False, description="Keep the work folder of a map of several tiles, chunks and all."
+    )
+    keep_free: Size = Field(
+        0,
+        description="Space on the disk that is left to others, such as 20GiB: a run that would go "
+        "below is refused before any work.",
+    )
+    report: Literal["html", "none"] = Field(
+        "html",
+        description="`html`: write report.html, a page that shows what the run did, offline.",
+    )
+    labels: bool = Field(
+        False, description="Write labels.parquet: label, cluster, density and score of every point."
+    )
+    classes: ClassParameters = ClassParameters()
+
+    @property
+    def needs_scores(self) -> bool:
+        """Whether cluster and density of every point are kept until the outputs are written."""
+        return self.labels or self.mode == "label"
+
+
+AnyClass = Annotated[int, Field(ge=0, le=255, strict=True)]
+
+
+class InputParameters(BaseModel):
+    """How the map is understood."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    unit: Literal["auto", "metre", "foot", "us_survey_foot"] = Field(
+        "auto",
+        description="Of the coordinates. `auto`: as the map's coordinate reference system says, "
+        "metres where it says nothing; degrees are refused. All lengths in this configuration are "
+        "metres, whatever the map is in; outputs are in the map's own unit.",
+    )
+    leave_out: tuple[AnyClass, ...] = Field(
+        (7, 18),
+        description="ASPRS classes of points that decide nothing and stay in place, `unscored`; 7 "
+        "is low noise, 18 is high noise. Maps in LAS or LAZ.",
+    )
+    leave_out_withheld: bool = Field(
+        True, description="The same of points with the flag `withheld`: deleted, as LAS has it."
+    )
+
+
+class Configuration(MethodParameters):
+    """Everything a run can be told: the sections of the method, and those of the product."""
+
+    input: InputParameters = InputParameters()
+    tiling: TilingParameters = TilingParameters()
+    execution: ExecutionParameters = ExecutionParameters()
+    cluster: ClusterParameters = ClusterParameters()
+    output: OutputParameters = OutputParameters()
+
+    def method(self) -> MethodParameters:
+        """Return the sections that `dynahull` knows."""
+        return MethodParameters.model_validate(
+            {name: getattr(self, name) for name in MethodParameters.model_fields}
+        )
+
+    def to_yaml(self) -> str:
+        """Return the configuration as the YAML that `load_configuration` reads back."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+
+
+def is_elsewhere(configuration: Configuration) -> bool:
+    """Tell whether workers are not processes of this machine that the run starts itself."""
+    execution = configuration.execution
+    return execution.scheduler is not None or execution.cluster in BATCH_SYSTEMS
+
+
+def ready_configurations() -> dict[str, Path]:
+    """Return the configurations that come with the product, by name."""
+    files = sorted(configurations_folder().glob("*.yaml"))
+    return {path.stem: path for path in files if path.name != NIGHTLY_EXAMPLE}
+
+
+def configurations_folder() -> Path:
+    """Return where the YAML files lie that come with the product."""
+    # Within the package where it is installed, beside it in a checkout.
+    here = Path(__file__).resolve().parents[1]
+    return next(place for place in (here / "configs", here.parent / "configs") if place.is_dir())
+
+
+def load_configuration(source: str | None, settings: Sequence[str] = ()) -> Configuration:
+    """Read the configuration of a run and apply single settings to it.
+
+    Parameters
+    ----------
+    source : str or None
+        Path of a YAML file, or the name of a ready configuration (`indoor`); None for defaults.
+    settings : sequence of str
+        `section.key=value`, as given to `--set`; the value is YAML. Later ones win.
+
+    Returns
+    -------
+    Configuration
+
+    Raises
+    ------
+    ConfigurationError
+        In one line: where, what was found, and what is allowed.
+    """
+    return load_parameters(Configuration, source, settings)
+
+
+def load_parameters(model: type[Model], source: str | None, settings: Sequence[str] = ()) -> Model:
+    """Read any model as `load_configuration` reads the configuration of a run."""
+    if source == "":
+        raise ConfigurationError("-c: expected a file or a name, found nothing")
+    values = _read_yaml(_configuration_path(source)) if source else {}
+    for setting in settings:
+        _apply(setting, values)
+    # A section whose keys are all commented out is one with its defaults.
+    sections = {name for name, field in model.model_fields.items() if _is_section(field)}
+    values = {
+        name: value for name, value in values.items() if value is not None or name not in sections
+    }
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        problem = validation_message(error, model)
+        raise ConfigurationError(f"{source or 'configuration'}: {problem}") from None
+
+
+def _is_section(field: FieldInfo) -> bool:
+    return isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+
+
+def _configuration_path(source: str) -> Path:
+    path = Path(source)
+    ready = ready_configurations()
+    if path.is_file() or source not in ready:
+        return path
+    return ready[source]
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        ready = ", ".join(ready_configurations())
+        raise ConfigurationError(
+            f"{path}: expected a YAML file or one of the ready configurations ({ready}), "
+            "found no such file"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: expected a YAML file, found {error}") from None
+    except _NOT_YAML as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" at line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "something else"
+        raise ConfigurationError(f"{path}: expected YAML, found {problem}{place}") from None
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise ConfigurationError(f"{path}: expected sections with keys, found {values!r:.60}")
+    return values
+
+
+def _apply(setting: str, values: dict[str, Any]) -> None:
+    """Set one `section.key=value` in nested dictionaries."""
+    key, equals, text = setting.partition("=")
+    if not equals or not key:
+        raise ConfigurationError(f"--set {setting}: expected section.key=value")
+    try:
+        value = yaml.safe_load(text)
+    except _NOT_YAML:
+        raise ConfigurationError(
+            f"--set {setting}: expected a YAML value, found {text!r}"
+        ) from None
+    *sections, name = key.split(".")
+    for section in sections:
+        inner = values.setdefault(section, {})
+        if not isinstance(inner, dict):
+            raise ConfigurationError(f"--set {setting}: {section} is a value, not a section")
+        values = inner
+    values[name] = value

@@ -1,0 +1,239 @@
+"""What is written of each file of the map: what stays and what goes, or all of it with labels."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+from pipeline.configuration.run import Configuration, OutputParameters
+from pipeline.errors import ConfigurationError
+from tiling.formats import Field, MapReader, MapWriter, PointBatch
+from tiling.formats.parts import PartWriter
+
+LABEL, DENSITY, SCORE, ORIGINAL_CLASS = "label", "density", "score", "original_class"
+"""Fields of a labelled map."""
+
+_PREFIX = "dynahull_"
+"""Before the name of a field where the map has one by that name."""
+
+_AT_A_TIME = 1 << 22
+
+Labels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointScores:
+    """What a labelled map says of each point beside its label.
+
+    Attributes
+    ----------
+    density : (n,) float64 array
+        NaN where not scored.
+    score : (n,) float32 array or None
+        Probability of having moved; None where no evidence was weighed.
+    """
+
+    density: NDArray[np.float64]
+    score: NDArray[np.float32] | None
+
+    def of(self, rows: slice) -> "PointScores":
+        """Return those of some rows."""
+        return PointScores(self.density[rows], None if self.score is None else self.score[rows])
+
+    def columns(self) -> list[NDArray[Any]]:
+        """Return the values of the fields, in their order."""
+        return [np.asarray(each) for each in (self.density, self.score) if each is not None]
+
+
+class OutputFormat(Protocol):
+    """What an output is written by: the input's own reader, or one of longer points."""
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of a whole output."""
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer of an output in parts."""
+
+
+class OutputMode(ABC):
+    """How the points of one file of the map go into its outputs.
+
+    Attributes
+    ----------
+    reader : MapReader
+        Of the file.
+    formats : tuple of OutputFormat
+        One for each output.
+    """
+
+    reader: MapReader
+    formats: tuple[OutputFormat, ...]
+
+    @abstractmethod
+    def counts(self, rows: range) -> tuple[int, ...]:
+        """Return how many points of some rows of the file go into each output."""
+
+    @abstractmethod
+    def records(self, batch: PointBatch) -> tuple[Any, ...]:
+        """Return what is written of a batch of the file into each output."""
+
+
+class SplitMode(OutputMode):
+    """What stays and what goes, in an output each.
+
+    Parameters
+    ----------
+    reader : MapReader
+    labels : (n,) uint8 array
+        Of the file's points.
+    """
+
+    def __init__(self, reader: MapReader, labels: Labels) -> None:
+        self.reader = reader
+        self.formats = (reader, reader)
+        self._labels = labels
+
+    def counts(self, rows: range) -> tuple[int, int]:
+        """Count what stays and what goes, a bounded part of the labels at a time."""
+        starts = range(rows.start, rows.stop, _AT_A_TIME)
+        parts = (self._labels[start : min(start + _AT_A_TIME, rows.stop)] for start in starts)
+        kept = sum(int(np.count_nonzero(part != Label.DYNAMIC)) for part in parts)
+        return kept, len(rows) - kept
+
+    def records(self, batch: PointBatch) -> tuple[Any, Any]:
+        """Select what stays and what goes."""
+        kept = self._labels[batch.first_row : batch.first_row + len(batch.xyz)] != Label.DYNAMIC
+        return batch.select(kept), batch.select(~kept)
+
+
+class LabelMode(OutputMode):
+    """All points in one output, with labels and scores, and with classes where the format has them.
+
+    Parameters
+    ----------
+    reader : MapReader
+    labels : (n,) uint8 array
+        Of the file's points.
+    scores : PointScores
+        Of the file's points.
+    classes : mapping of Label to int or None
+        The class that points of each label get; None for their own.
+    """
+
+    def __init__(
+        self,
+        reader: MapReader,
+        labels: Labels,
+        scores: PointScores,
+        classes: dict[Label, int | None],
+    ) -> None:
+        self.reader = reader
+        self._extended = reader.extended(added_fields(reader, scores.score is not None))
+        self.formats = (self._extended,)
+        self._labels = labels
+        self._scores = scores
+        self._kept = np.array([classes[label] is None for label in Label])
+        self._classes = np.array([classes[label] or 0 for label in Label], np.uint8)
+
+    def counts(self, rows: range) -> tuple[int]:
+        """Return the number of the rows: all points are written."""
+        return (len(rows),)
+
+    def records(self, batch: PointBatch) -> tuple[Any]:
+        """Add labels and scores, and set the classes."""
+        rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
+        labels = np.asarray(self._labels[rows])
+        values: list[NDArray[Any]] = [labels, *self._scores.of(rows).columns()]
+        if batch.classification is None:
+            return (self._extended.extend(batch, values),)
+        classes = np.where(self._kept[labels], batch.classification, self._classes[labels])
+        values.append(batch.classification)
+        return (self._extended.extend(batch, values, classes),)
+
+
+def own_names(name: str) -> tuple[str, str]:
+    """Return what a field that is added is called, and what where the map has one like it."""
+    return name, _PREFIX + name
+
+
+def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
+    """Return the fields that a labelled map has behind those of the input.
+
+    Parameters
+    ----------
+    reader : MapReader
+    with_score : bool
+        Whether evidence is weighed.
+
+    Raises
+    ------
+    ConfigurationError
+        When the map has fields of these names already, with the prefix `dynahull_` and without.
+    """
+    taken = {field.name for field in reader.description.fields}
+    wanted = [(LABEL, "uint8"), (DENSITY, "float64")]
+    if with_score:
+        wanted.append((SCORE, "float32"))
+    if reader.description.has_classification:
+        wanted.append((ORIGINAL_CLASS, "uint8"))
+    fields = []
+    for name, dtype in wanted:
+        free = next((each for each in own_names(name) if each not in taken), None)
+        if free is None:
+            raise ConfigurationError(
+                f"{reader.description.path}: output.mode label adds a field {name} or "
+                f"{_PREFIX + name}, and the map has both; choose output.mode split"
+            )
+        fields.append(Field(free, dtype))
+    return tuple(fields)
+
+
+def check_mode(readers: Sequence[MapReader], configuration: Configuration) -> None:
+    """Refuse, before any work, outputs that a file's format has no place for.
+
+    Raises
+    ------
+    ConfigurationError
+        When a class is larger than the format's largest, or the names of fields are taken.
+    MapFormatError
+        When points of the file cannot have further fields.
+    """
+    output = configuration.output
+    if output.mode != "label":
+        return
+    for reader in readers:
+        reader.extended(added_fields(reader, configuration.removal.weighs_evidence))
+        description = reader.description
+        for label, number in output.classes.of_labels().items():
+            if not description.has_classification or number is None:
+                continue
+            if number > description.largest_class:
+                raise ConfigurationError(
+                    f"{description.path}: {description.format} has classes 0 to "
+                    f"{description.largest_class}, found output.classes.{label.title} {number}"
+                )
+
+
+def mode_of(
+    reader: MapReader, output: OutputParameters, labels: Labels, scores: PointScores | None
+) -> OutputMode:
+    """Return how the points of a file go into its outputs.
+
+    Parameters
+    ----------
+    reader : MapReader
+    output : OutputParameters
+    labels : (n,) uint8 array
+        Of the file's points.
+    scores : PointScores or None
+        Of the file's points, where `output.needs_scores`.
+    """
+    if output.mode == "split":
+        return SplitMode(reader, labels)
+    assert scores is not None  # asked for
+    return LabelMode(reader, labels, scores, output.classes.of_labels())

@@ -1,0 +1,166 @@
+"""The points of a finished run with all that its outputs say of them."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+from pipeline.errors import OutputError
+from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
+from pipeline.outputs.modes import DENSITY, LABEL, own_names
+from tiling.errors import MapFormatError
+from tiling.formats import open_map
+from tiling.formats.base import DEFAULT_BATCH
+from tiling.formats.field_values import field_values
+from tiling.parquet_file import open_parquet
+
+Points = NDArray[np.float64]
+Labels = NDArray[np.uint8]
+Densities = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ResultPoints:
+    """What became of every finite point of a map.
+
+    Attributes
+    ----------
+    xyz : (n, 3) float64 array
+    labels : (n,) uint8 array
+        `Label` of each; only static and dynamic where the outputs tell no more.
+    density : (n,) float64 array or None
+        None where the outputs do not tell; NaN for points that are not scored.
+    """
+
+    xyz: Points
+    labels: Labels
+    density: Densities | None
+
+
+def read_result(folder: Path) -> ResultPoints:
+    """Read the points of a finished run.
+
+    More than static and dynamic is known where the run wrote labels.parquet (`--labels`) or a
+    labelled map.
+
+    Parameters
+    ----------
+    folder : Path
+        An output folder of `run`.
+
+    Raises
+    ------
+    OutputError
+        When the folder holds no complete result, or its files are not those of the run.
+    """
+    try:
+        report = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+        files = [dict(file) for file in report["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
+    table = folder / LABELS_FILE
+    if LABELS_FILE in report.get("outputs", ()):
+        labels, density = _read_table(table)
+        starts = [file["first_row"] for file in files] + [len(labels)]
+        rows = [slice(*bounds) for bounds in pairwise(starts)]
+        xyz = [
+            _points_in_order(folder, file, labels[own])
+            for file, own in zip(files, rows, strict=True)
+        ]
+        return _finite(np.concatenate([np.empty((0, 3)), *xyz]), labels, density)
+    parts = [_points_of(folder, file) for file in files]
+    densities = [density for _, _, density in parts if density is not None]
+    return _finite(
+        np.concatenate([np.empty((0, 3)), *(xyz for xyz, _, _ in parts)]),
+        np.concatenate([np.empty(0, np.uint8), *(labels for _, labels, _ in parts)]),
+        np.concatenate(densities) if densities else None,
+    )
+
+
+def _finite(xyz: Points, labels: Labels, density: Densities | None) -> ResultPoints:
+    finite = np.isfinite(xyz).all(axis=1)
+    return ResultPoints(xyz[finite], labels[finite], None if density is None else density[finite])
+
+
+def _points_in_order(folder: Path, file: dict[str, Any], labels: Labels) -> Points:
+    """Read the points of one input file, in its order, from what was written of it."""
+    if file.get("labelled"):
+        xyz = _read_xyz(folder / file["labelled"])
+        dynamic = np.empty((0, 3))
+    else:
+        xyz = np.empty((len(labels), 3))
+        kept = labels != Label.DYNAMIC
+        static, dynamic = (_read_xyz(folder / file[kind]) for kind in ("static", "dynamic"))
+        if (len(static), len(dynamic)) == (kept.sum(), len(kept) - kept.sum()):
+            xyz[kept], xyz[~kept] = static, dynamic
+            return xyz
+    if len(xyz) != len(labels) or len(dynamic):
+        raise OutputError(
+            f"{folder / LABELS_FILE}: expected labels of the points beside it, found "
+            f"{len(labels)} labels: files were changed since the run"
+        )
+    return xyz
+
+
+def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Densities | None]:
+    """Read what was written of one input file, where there is no table of labels."""
+    if not file.get("labelled"):
+        static, dynamic = (_read_xyz(folder / file[kind]) for kind in ("static", "dynamic"))
+        labels = np.repeat(
+            np.array([Label.STATIC, Label.DYNAMIC], np.uint8), [len(static), len(dynamic)]
+        )
+        return np.concatenate([static, dynamic]), labels, None
+    path = folder / file["labelled"]
+    labels = np.concatenate([np.empty(0, np.uint8), *label_batches(path)])
+    density = np.concatenate([np.empty(0), *_added_values(path, DENSITY)])
+    return _read_xyz(path), labels, density
+
+
+def label_batches(path: Path) -> Iterator[Labels]:
+    """Yield the labels of a map that a run labelled, in order.
+
+    Raises
+    ------
+    OutputError
+        When it has none, or its format does not give them back.
+    """
+    for values in _added_values(path, LABEL):
+        yield values.astype(np.uint8)
+
+
+def _added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
+    """Yield the values of a field that a run added, by the name that it got."""
+    names = [field.name for field in open_map(path).description.fields]
+    own = next((each for each in reversed(own_names(name)) if each in names), name)
+    try:
+        yield from field_values(path, own)
+    except MapFormatError as error:
+        raise OutputError(f"{error}; run again with --labels, which writes {LABELS_FILE}") from None
+
+
+def _read_xyz(path: Path) -> Points:
+    return np.concatenate([np.empty((0, 3)), *(batch.xyz for batch in open_map(path).batches())])
+
+
+def _read_table(path: Path) -> tuple[Labels, Densities]:
+    batches = [(np.empty(0, np.uint8), np.empty(0)), *table_batches(path)]
+    labels, density = (np.concatenate(column) for column in zip(*batches, strict=True))
+    return labels, density
+
+
+def table_batches(path: Path) -> Iterator[tuple[Labels, Densities]]:
+    """Yield labels and densities from `labels.parquet`, in order."""
+    numbers = {label.title: label.value for label in Label}
+    with open_parquet(path) as file:
+        for batch in file.iter_batches(
+            DEFAULT_BATCH, columns=["label", "density"], use_threads=False
+        ):
+            label = batch.column("label")
+            codes = np.array([numbers[title] for title in label.dictionary.to_pylist()], np.uint8)
+            yield codes[label.indices.to_numpy()], batch.column("density").to_numpy()

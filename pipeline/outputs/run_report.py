@@ -1,0 +1,278 @@
+"""What a run did, as `run.json` and as the lines printed at its end."""
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, SkipValidation
+
+from dynahull.result import ClusterSummary
+from pipeline.configuration.run import Configuration
+from pipeline.decision import Decision, Place
+from pipeline.outputs.folder import LABELS_FILE, REPORT_FILE, RUN_FILE, OutputNames
+from pipeline.plan.machine import peak_memory
+from pipeline.progress import StageObserver
+from pipeline.showing import printable
+from pipeline.units import of_map
+from tiling.collection import MapCollection
+
+FileName = Annotated[str, SkipValidation]
+"""Any name that the system has: pydantic's own text is UTF-8 alone."""
+
+
+class InputFile(BaseModel):
+    """One file of the map, and the names of what became of it in the output folder."""
+
+    path: FileName
+    format: str
+    size_bytes: int
+    points: int
+    first_row: int
+    static: FileName | None = None
+    dynamic: FileName | None = None
+    labelled: FileName | None = None
+
+    @property
+    def outputs(self) -> list[str]:
+        """The files written of it."""
+        return [name for name in (self.static, self.dynamic, self.labelled) if name is not None]
+
+
+class ClusterReport(BaseModel):
+    """Eq. 1 for one cluster: N_i, R_i in percent, the threshold, and the points removed."""
+
+    index: int
+    centroid: tuple[float, float, float]
+    count: int
+    removal_percent: float
+    threshold: float | None
+    removed: int
+
+    @classmethod
+    def of(cls, summary: ClusterSummary) -> "ClusterReport":
+        """Take over what the method says of a cluster."""
+        return cls(
+            index=summary.index,
+            centroid=summary.centroid,
+            count=summary.count,
+            removal_percent=summary.percentage,
+            threshold=summary.threshold,
+            removed=summary.removed,
+        )
+
+
+class RunReport(BaseModel):
+    """Everything a run has to say.
+
+    Attributes
+    ----------
+    version : str
+        Of this product.
+    finished : str
+        Date and time, UTC, ISO 8601.
+    output : str
+        The output folder.
+    outputs : list of str
+        The files written into it.
+    input_hash : str
+        SHA-256 over the bytes of the input files, in order.
+    files : list of InputFile
+        The map's files, and the names of what became of each.
+    points : int
+        Points of the whole map.
+    counts : dict of str to int
+        Points of each label; they add up to `points`.
+    clusters : list of ClusterReport
+    places : list of Place
+        Where points were removed, the places of most points first; empty where a share of each
+        cluster is removed, whatever the evidence.
+    place_count : int or None
+        All places, also those that are not listed.
+    scattered_points : int or None
+        Removed points that are in no place.
+    uncertain_points : int or None
+        Points kept, though at least half as likely to have moved as those that go.
+    seconds : dict of str to float
+        Wall time of each stage.
+    peak_memory_bytes : int
+        Of this process.
+    warnings : list of str
+    system : str
+        Coordinate reference system and unit of the map, in words.
+    configuration : dict
+        As resolved; the same as in `config.yaml`.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    version: str
+    finished: str
+    output: FileName
+    outputs: list[FileName]
+    input_hash: str
+    files: list[InputFile]
+    points: int
+    counts: dict[str, int]
+    clusters: list[ClusterReport]
+    places: list[Place] = []
+    place_count: int | None = None
+    scattered_points: int | None = None
+    uncertain_points: int | None = None
+    seconds: dict[str, float]
+    peak_memory_bytes: int
+    warnings: list[FileName]
+    system: str = ""
+    configuration: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        folder: Path,
+        collection: MapCollection,
+        input_hash: str,
+        configuration: Configuration,
+        counts: dict[str, int],
+        clusters: Sequence[ClusterSummary],
+        decision: Decision | None,
+        names: OutputNames,
+        observer: StageObserver,
+    ) -> "RunReport":
+        """Gather the report of a finished run."""
+        return cls(
+            version=version("dynahull-pipeline"),
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+            output=str(folder),
+            outputs=[
+                str(name)
+                for name in names.all_files(
+                    configuration.output.labels, configuration.output.report == "html"
+                )
+            ],
+            input_hash=input_hash,
+            files=_input_files(collection, names),
+            points=collection.point_count,
+            counts=counts,
+            clusters=[ClusterReport.of(cluster) for cluster in clusters],
+            places=[] if decision is None else list(decision.places),
+            place_count=None if decision is None else decision.place_count,
+            scattered_points=None if decision is None else decision.scattered,
+            uncertain_points=None if decision is None else decision.uncertain,
+            seconds=_seconds(observer),
+            peak_memory_bytes=peak_memory(),
+            warnings=list(observer.warnings),
+            system=of_map(collection, configuration.input),
+            configuration=configuration.model_dump(mode="json"),
+        )
+
+    def with_seconds(self, observer: StageObserver) -> Self:
+        """Return the report with the stages and warnings there are now."""
+        now = {"seconds": _seconds(observer), "warnings": list(observer.warnings)}
+        return self.model_copy(update=now)
+
+    def without_page(self) -> Self:
+        """Return the report of a run whose page could not be made."""
+        return self.model_copy(
+            update={"outputs": [name for name in self.outputs if name != REPORT_FILE]}
+        )
+
+    def to_json(self) -> str:
+        """Return the text of `run.json`."""
+        return json.dumps(self.model_dump(mode="json"), indent=2) + "\n"
+
+    def summary(self) -> str:
+        """Return the lines printed at the end of a run."""
+        removed = self.counts["dynamic"]
+        share = 100 * removed / self.points if self.points else 0.0
+        kept = ", ".join(
+            f"{count:,} {label}"
+            for label, count in self.counts.items()
+            if count and label != "dynamic"
+        )
+        lines = [
+            f"{removed:,} of {self.points:,} points removed ({share:.1f} %)",
+            f"kept: {kept or 'nothing'}",
+        ]
+        if not self.system.startswith("none, metres"):
+            lines.append(f"coordinates: {self.system}")
+        if self.clusters:
+            lines.append(f"{'cluster':>9}{'points':>14}{'R_i':>9}{'threshold':>14}{'removed':>12}")
+        for cluster in self.clusters:
+            threshold = "-" if cluster.threshold is None else f"{cluster.threshold:.4g}"
+            lines.append(
+                f"{cluster.index:>9}{cluster.count:>14,}{cluster.removal_percent:>7.2f} %"
+                f"{threshold:>14}{cluster.removed:>12,}"
+            )
+        folder = Path(self.output)
+        written = [folder / name for file in self.files for name in file.outputs]
+        if len(self.files) > 1:
+            written = list(dict.fromkeys(path.parent for path in written))
+        if self.configuration["output"]["labels"]:
+            written.append(folder / LABELS_FILE)
+        if REPORT_FILE in self.outputs:
+            written.append(folder / REPORT_FILE)
+        lines.append(
+            "written: " + ", ".join(printable(path) for path in [*written, folder / RUN_FILE])
+        )
+        return "\n".join([*lines, *self.verdict()])
+
+    def verdict(self) -> list[str]:
+        """Return what the evidence came to, in a line or two; nothing where it was not asked."""
+        if self.place_count is None or self.uncertain_points is None:
+            return []
+        removed = self.counts["dynamic"]
+        if not removed + self.counts["static"]:
+            return ["nothing was scored: nothing removed"]
+        kept = ""
+        if self.uncertain_points:
+            kept = f"; {share_of(self.uncertain_points, self.points)} uncertain, kept"
+        if not removed:
+            return [f"nothing moved: nothing removed{kept}"]
+        where = []
+        if self.place_count:
+            where.append(_counted(self.place_count, "place"))
+        if self.scattered_points:
+            where.append(_counted(self.scattered_points, "scattered point"))
+        lines = [f"{share_of(removed, self.points)} removed in {' and '.join(where)}{kept}"]
+        if self.places:
+            place = self.places[0]
+            at = ", ".join(f"{value:,.1f}" for value in place.middle)
+            size = " x ".join(f"{value:.1f}" for value in place.size)
+            why = place.reasons[0]
+            lines.append(
+                f"largest place: {place.points:,} points about ({at}), {size} m: "
+                f"{why.words} ({100 * why.share:.0f} %)"
+            )
+        return lines
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}" + ("" if count == 1 else "s")
+
+
+def share_of(part: int, whole: int) -> str:
+    """Return a share in percent; one that is not nothing does not look like nothing."""
+    percent = 100 * part / whole
+    return "under 0.1 %" if percent < 0.1 else f"{percent:.1f} %"
+
+
+def _seconds(observer: StageObserver) -> dict[str, float]:
+    return {stage: round(seconds, 3) for stage, seconds in observer.seconds.items()}
+
+
+def _input_files(collection: MapCollection, names: OutputNames) -> list[InputFile]:
+    return [
+        InputFile(
+            path=str(reader.description.path.resolve()),
+            format=reader.description.format,
+            size_bytes=reader.description.path.stat().st_size,
+            points=reader.description.point_count,
+            first_row=first_row,
+            **{kind: str(files[number]) for kind, files in names.by_kind.items()},
+        )
+        for number, (reader, first_row) in enumerate(
+            zip(collection.readers, collection.first_rows, strict=True)
+        )
+    ]

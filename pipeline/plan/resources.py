@@ -1,0 +1,131 @@
+"""What a run asks of the machine, memory and disk, and whether it is there."""
+
+import shutil
+from pathlib import Path
+
+from dynahull.ground.reach import ground_radius
+from pipeline.configuration.quantities import in_units
+from pipeline.configuration.run import Configuration, is_elsewhere
+from pipeline.errors import DiskSpaceError, PlanError
+from pipeline.plan.machine import available_memory
+from tiling.collection import MapCollection
+
+BASE_BYTES = 350 << 20
+"""Of a process with all libraries loaded; see docs/scaling.md for this and the next figures."""
+
+_BYTES_A_POINT_IN_MEMORY = 120
+"""Of a map of one tile, with labels, on two threads."""
+
+_BYTES_A_POINT_UNDER_CLOTH = 330
+"""Of the same where the ground is found by `csf`."""
+
+EVIDENCE_BYTES = 500
+"""A point where evidence is weighed, beyond the others: sums over voxels, of which there are no
+more than points, and the terms of a batch."""
+
+_LABELLED_BYTES = 10
+"""A point of a labelled map, beyond those of the input: label, density, class."""
+
+_SCORE_BYTES = 4
+"""A point in either, where evidence is weighed."""
+
+_TABLE_BYTES = 10
+"""A point in `labels.parquet`: nearly all of it the density, which does not compress."""
+
+_PAGE_BYTES = 6 << 20
+"""Of the report."""
+
+
+def is_one_tile(collection: MapCollection, configuration: Configuration) -> bool:
+    """Tell whether a map is a single tile, which is cleaned in memory.
+
+    It is where it has no more points than a tile may have, and where the ground step must look
+    at the map as a whole.
+    """
+    whole = ground_radius(configuration.ground) is None
+    return whole or collection.point_count <= configuration.tiling.max_points
+
+
+def output_size(collection: MapCollection, configuration: Configuration) -> int:
+    """Return the bytes of the outputs of a run, about: the map again, and more."""
+    output = configuration.output
+    score = _SCORE_BYTES if configuration.removal.weighs_evidence else 0
+    each = 0
+    if output.mode == "label":
+        each += _LABELLED_BYTES + score
+    if output.labels:
+        each += _TABLE_BYTES + score
+    page = _PAGE_BYTES if output.report == "html" else 0
+    again = sum(path.stat().st_size for path in collection.paths)
+    return again + each * collection.point_count + page
+
+
+def check_space(folder: Path, temporary: int, results: int, keep_free: int) -> None:
+    """Refuse what would take more disk than there is.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it would be written; it need not be there yet.
+    temporary, results : int
+        Bytes.
+    keep_free : int
+        Bytes that are left to others.
+
+    Raises
+    ------
+    DiskSpaceError
+    """
+    place = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    free = shutil.disk_usage(place).free
+    if temporary + results + keep_free > free:
+        kept = f", of which {in_units(keep_free)} are to stay so" if keep_free else ""
+        raise DiskSpaceError(
+            f"{place}: the run would write {in_units(temporary)} of temporary files and "
+            f"{in_units(results)} of results, and {in_units(free)} are free{kept}"
+        )
+
+
+def check_one_tile(collection: MapCollection, configuration: Configuration) -> None:
+    """Refuse a map that is cleaned in memory and takes more than there is.
+
+    Raises
+    ------
+    PlanError
+        In one line: what it takes, what there is, and what to change.
+    """
+    wanted, free = _one_tile_memory(collection, configuration)
+    if wanted > free:
+        whole = ground_radius(configuration.ground) is None
+        method = f"a ground.method other than {configuration.ground.method}"
+        remedy = method if whole else "a smaller tiling.max_points"
+        raise PlanError(
+            f"{collection.name}: as one tile, the {collection.point_count:,} points would take "
+            f"{in_units(wanted)}, and there are {in_units(free)}: choose {remedy}, so that the map "
+            "is cut"
+        )
+
+
+def memory_left(collection: MapCollection, configuration: Configuration) -> int:
+    """Return the bytes that are free beside what a map takes that is cleaned in memory."""
+    wanted, free = _one_tile_memory(collection, configuration)
+    return max(free - wanted, 0)
+
+
+def _one_tile_memory(collection: MapCollection, configuration: Configuration) -> tuple[int, int]:
+    """Return the bytes that a map of one tile takes, and those that there are."""
+    cloth = configuration.ground.method == "csf"
+    each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
+    if configuration.removal.weighs_evidence:
+        each += EVIDENCE_BYTES
+    memory = configuration.execution.memory
+    free = available_memory() if memory == "auto" else memory
+    return BASE_BYTES + each * collection.point_count, free
+
+
+def worker_memory_limit(configuration: Configuration, workers: int) -> int:
+    """Return the bytes that each worker may take: as configured, or its share of what is free."""
+    if is_elsewhere(configuration) and configuration.execution.scheduler is None:
+        return configuration.cluster.memory
+    memory = configuration.execution.memory
+    return available_memory() // workers if memory == "auto" else memory

@@ -1,0 +1,128 @@
+"""A map planned, or cut into chunks, without being cleaned."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.cluster.choice import workers_for
+from pipeline.configuration.run import Configuration
+from pipeline.errors import OutputError
+from pipeline.evaluation.picture import drawing_library
+from pipeline.named_file import check_named_file
+from pipeline.outputs.folder import locked_folder
+from pipeline.plan.machine import available_cores
+from pipeline.plan.plan import check_plan, make_plan
+from pipeline.plan.resources import check_one_tile, is_one_tile
+from pipeline.progress import StageObserver
+from pipeline.replacing import refuse_own_folders
+from pipeline.showing import only_showing, printable
+from pipeline.taking_part import survey_map
+from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
+from pipeline.units import open_collection
+from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
+from pipeline.work.job import CHUNKS_FOLDER
+from pipeline.work.map_state import unchanged
+from pipeline.work.opening import open_job
+from tiling.collection import content_hash, find_map_files
+from tiling.output_file import writing_only_into
+
+_PRODUCTS = ("chunks", "store.json")
+"""What `tile` leaves; a folder that has the last of them is whole."""
+
+_PUBLISHING = "publishing"
+"""Within the work folder: they are being moved, so that those in the folder are no others."""
+
+
+def plan_map(
+    maps: Sequence[str], configuration: Configuration, observer: StageObserver, picture: Path | None
+) -> str:
+    """Survey a map and return its plan as text; draw it if wanted.
+
+    Raises
+    ------
+    TilingError, PipelineError
+        `PlanError` where the run would be refused.
+    """
+    workers = available_cores(configuration.execution.workers)
+    paths = find_map_files(maps)
+    if picture is not None:
+        check_named_file(picture, ".png", paths)
+        drawing_library()  # before the work, not after it
+    collection = open_collection(paths, configuration.input, workers)
+    observer.stage("survey", collection.point_count)
+    surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
+    observer.finish()
+    one_tile = is_one_tile(collection, configuration)
+    if one_tile:
+        tiling = {"max_points": max(collection.point_count, 1)}
+        whole = configuration.tiling.model_copy(update=tiling)
+        configuration = configuration.model_copy(update={"tiling": whole})
+    plan = make_plan(collection, surveyed, configuration, workers)
+    drawn = ""
+    if picture is not None:
+        from pipeline.plan.picture import draw_plan  # noqa: PLC0415 (an optional package)
+
+        with only_showing(str(picture), observer.warn):
+            draw_plan(plan, surveyed, picture)
+            drawn = f"\ndrawn:             {printable(picture)}"
+    text = plan.to_text()
+    if one_tile:
+        check_one_tile(collection, configuration)
+        text += "\none tile: cleaned in memory, without temporary files"
+    else:
+        check_plan(plan, configuration, Path())
+    return text + drawn
+
+
+def tile_map(
+    maps: Sequence[str], output: Path, configuration: Configuration, observer: StageObserver
+) -> int:
+    """Cut a map into chunks that lie in a folder of their own; return how many.
+
+    Raises
+    ------
+    TilingError, PipelineError
+        With no chunk in the folder.
+    """
+    paths = find_map_files(maps)
+    refuse_own_folders(output, paths)
+    output.mkdir(parents=True, exist_ok=True)
+    work = output / WORK_FOLDER
+    try:
+        with locked_folder(output), writing_only_into(output), unchanged(paths) as state:
+            _take_back(output, work)
+            if {path.name for path in output.iterdir()} - {WORK_FOLDER, REMOVED_FOLDER}:
+                raise OutputError(
+                    f"{output}: expected an empty folder for the chunks; choose another -o"
+                )
+            digest = content_hash(paths)
+            job = open_job(work, paths, state, digest, configuration, False, observer, "chunk")
+            with workers_for(job) as executor:
+                plan_tiles(
+                    job,
+                    executor,
+                    observer,
+                    lambda plan: check_plan(plan, configuration, output),
+                    "zstd",
+                )
+                cut_into_pieces(job, executor, observer, "chunk")
+                gather_chunks(job, executor, observer)
+            observer.finish()
+            tiles = len(job.store.layout)
+            (work / _PUBLISHING).touch()
+            for name in _PRODUCTS:
+                (work / CHUNKS_FOLDER / name).rename(output / name)
+            remove_work(work)
+    finally:
+        if not any(output.iterdir()):
+            output.rmdir()
+    return tiles
+
+
+def _take_back(output: Path, work: Path) -> None:
+    """Take back what a run published that was killed before it had ended."""
+    if not (work / _PUBLISHING).exists():
+        return  # what is there is the user's
+    chunks = work / CHUNKS_FOLDER
+    for name in _PRODUCTS:
+        if (output / name).exists() and not (chunks / name).exists():
+            (output / name).rename(chunks / name)

@@ -1,0 +1,144 @@
+"""What every task of a run must know: the map, the configuration, and how the map is cut.
+
+It is kept in the work folder, so that a task needs no more than the folder's name and its number.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+from dynahull.clustering import Clusters
+from pipeline.configuration.run import Configuration
+from pipeline.plan.plan import decision_radius
+from pipeline.tiles.sealed import read_sealed, write_sealed
+from pipeline.units import open_collection
+from pipeline.work.array_file import read_arrays
+from pipeline.work.folder import WorkFolder
+from pipeline.work.map_state import MapState
+from tiling.chunk_store import ChunkStore
+from tiling.collection import MapCollection
+from tiling.kept_points import KeptPoints
+
+JOB_FILE = "job.json"
+CLUSTERS_FILE = "clusters.arrays"
+CHUNKS_FOLDER = "tiles"
+DECODED_FILE = "map.decoded"
+
+PLANNING, FITTING, CREATING = "plan", "clustering", "outputs"
+"""Steps that are about the whole map and are not shared out: tiles, clusters, outputs in parts."""
+
+ROWS_AT_A_TIME = 500_000
+"""Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run, as its tasks see it.
+
+    Attributes
+    ----------
+    root : Path
+        The work folder.
+    key : str
+        Hash of the input and of the configuration.
+    paths : tuple of Path
+        The map's files.
+    state : MapState
+        Theirs, when the key was made.
+    configuration : Configuration
+    """
+
+    root: Path
+    key: str
+    paths: tuple[Path, ...]
+    state: MapState
+    configuration: Configuration
+
+    def save(self) -> None:
+        """Write what `open` reads."""
+        values = {
+            "key": self.key,
+            "paths": [str(path.resolve()) for path in self.paths],
+            "state": self.state,
+            "configuration": self.configuration.model_dump(mode="json"),
+        }
+        write_sealed(self.root / JOB_FILE, values)
+
+    @classmethod
+    def open(cls, folder: str) -> "Job":
+        """Open the job of a work folder; the same object while the file stays the same."""
+        root = Path(folder)
+        return _opened(root, (root / JOB_FILE).stat().st_mtime_ns)
+
+    @cached_property
+    def work(self) -> WorkFolder:
+        """The work folder."""
+        return WorkFolder(self.root, self.key)
+
+    @cached_property
+    def collection(self) -> MapCollection:
+        """The map."""
+        return open_collection(self.paths, self.configuration.input)
+
+    @cached_property
+    def row_ranges(self) -> list[range]:
+        """The ranges of rows that the map is read in."""
+        return self.collection.row_ranges(ROWS_AT_A_TIME)
+
+    @cached_property
+    def decoded(self) -> KeptPoints | None:
+        """The map's points as the survey decoded them, where it takes long to read them."""
+        if self.collection.writes_parts:
+            return None  # its bytes are its records
+        return KeptPoints(self.root / DECODED_FILE, self.collection)
+
+    @cached_property
+    def cut_ranges(self) -> list[range]:
+        """The ranges of rows that the map is cut in."""
+        if self.decoded is None:
+            return self.row_ranges
+        count = self.collection.point_count
+        starts = range(0, count, ROWS_AT_A_TIME)
+        return [range(start, min(start + ROWS_AT_A_TIME, count)) for start in starts]
+
+    @cached_property
+    def store(self) -> ChunkStore:
+        """The map cut into chunks; there once it is planned."""
+        return ChunkStore.open(self.root / CHUNKS_FOLDER)
+
+    @cached_property
+    def decision_radius(self) -> float:
+        """Metres within which all points lie that decide whether a point is free of the ground."""
+        return decision_radius(self.configuration)
+
+    @cached_property
+    def clusters(self) -> Clusters:
+        """The model of the whole map; there once it is fitted."""
+        return Clusters(*read_arrays(self.root / CLUSTERS_FILE, "centroids"))
+
+    @property
+    def needs_classes(self) -> bool:
+        """Whether the ground is told by the classes of a LAS map."""
+        return self.configuration.ground.method == "las_class"
+
+    @property
+    def finite_count(self) -> int:
+        """Points of the map that take part, and are in tiles."""
+        return int(self.store.layout.counts.sum())
+
+    def rows_path(self, name: str) -> Path:
+        """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""
+        return self.root / f"{name}.rows"
+
+
+@lru_cache(maxsize=2)
+def _opened(root: Path, time: int) -> Job:
+    del time
+    stored = read_sealed(root / JOB_FILE)
+    return Job(
+        root,
+        stored["key"],
+        tuple(Path(path) for path in stored["paths"]),
+        tuple((size, written, changed, inode) for size, written, changed, inode in stored["state"]),
+        Configuration.model_validate(stored["configuration"]),
+    )

@@ -1,0 +1,194 @@
+"""Writes a LAZ file with the header, VLRs and EVLRs of another, byte for byte."""
+
+import io
+from importlib import import_module
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.formats.base import MapWriter
+from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
+from tiling.formats.las.laz_header import Compression, own_compression
+from tiling.formats.las.lazrs_pool import LARGEST_PARALLEL_CHUNK, chunks_at_a_time
+from tiling.formats.las.summary import LasSummary
+from tiling.formats.las.surroundings import LasSurroundings
+from tiling.output_file import create_file
+
+# It has no types that a checker can use.
+lazrs: Any = import_module("lazrs")
+
+_CHUNK = 50_000
+"""Points in a chunk, where this module says how many."""
+_LARGEST_CHUNK = 1_000_000
+"""Points; a chunk of layers is held in memory until it is full."""
+_LAYERED_WAVE_PACKETS = (9, 10)
+"""Point formats whose wave packets lazrs gets wrong in chunks of several scanner channels."""
+
+
+class LazWriter(MapWriter):
+    """Writes raw point records, compressed, under the header of the file they come from.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    point_count : int
+        Points it will hold.
+    header : LasHeader
+        Of the file that the points come from; it must still be there.
+    compression : Compression
+        How that file's points are compressed.
+    threads : int
+        That may compress at a time, see `lazrs_pool`. The file does not depend on it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        point_count: int,
+        header: LasHeader,
+        compression: Compression,
+        threads: int,
+    ) -> None:
+        super().__init__(path, point_count)
+        self._summary = LasSummary.of(header)
+        data = _followed_compression(header, compression)
+        self._surroundings = LasSurroundings(header, data)
+        vlr = lazrs.LazVlr(compression.data if data is None else data)
+        self._file = create_file(path)
+        try:
+            self._surroundings.write_header(self._file)
+            self._points = _chunks(self._file, vlr, point_count, threads)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _append(self, records: NDArray[np.uint8]) -> None:
+        records = np.ascontiguousarray(records)
+        self._summary.add(records)
+        try:
+            self._points.write(records)
+        except lazrs.LazrsError as error:
+            raise OSError(f"{self.path}: {error}") from error
+
+    def _finish(self) -> None:
+        with self._file:
+            try:
+                self._points.finish()
+            except lazrs.LazrsError as error:
+                raise OSError(f"{self.path}: {error}") from error
+            points_end = self._file.seek(0, io.SEEK_END)
+            self._surroundings.write_after_points(self._file)
+            self._file.seek(0)
+            self._file.write(self._surroundings.completed_header(points_end, self._summary))
+
+    def _abandon(self) -> None:
+        self._file.close()
+
+
+def _followed_compression(header: LasHeader, compression: Compression) -> bytes | None:
+    """Return the data of lazrs's own laszip VLR, None where it writes what the input's says."""
+    extra_bytes = header.record_length - RECORD_LENGTHS[header.point_format]
+    variable_chunks = header.point_format in _LAYERED_WAVE_PACKETS
+    # Both have the same items, if not of the same version, and hence the same length.
+    data = own_compression(header.point_format, extra_bytes, variable_chunks)
+    follows = compression.can_be_written_as(data) and compression.chunk_size <= _LARGEST_CHUNK
+    return None if follows and not variable_chunks else data
+
+
+def _chunks(file: BinaryIO, vlr: Any, point_count: int, threads: int) -> "_Chunks":
+    """Choose how to compress."""
+    if vlr.uses_variable_size_chunks():
+        return _ChannelChunks(file, vlr)
+    size = vlr.chunk_size()
+    if threads > 1 and size < point_count and size * vlr.item_size() <= LARGEST_PARALLEL_CHUNK:
+        return _ParallelChunks(file, vlr, threads)
+    return _Chunks(lazrs.LasZipCompressor(file, vlr))
+
+
+class _Chunks:
+    """Compresses points as they come, in chunks of one size."""
+
+    def __init__(self, compressor: Any) -> None:
+        self._compressor = compressor
+
+    def write(self, records: NDArray[np.uint8]) -> None:
+        """Append (n, record_length) points."""
+        self._compressor.compress_many(records.reshape(-1))
+
+    def finish(self) -> None:
+        """Write what belongs to the points: the last chunk, and the chunk table."""
+        self._compressor.done()
+
+
+class _ParallelChunks(_Chunks):
+    """Compresses several chunks of one size at a time, see `lazrs_pool`."""
+
+    def __init__(self, file: BinaryIO, vlr: Any, threads: int) -> None:
+        super().__init__(lazrs.ParLasZipCompressor(file, vlr))
+        points, size = vlr.chunk_size(), vlr.item_size()
+        chunks = chunks_at_a_time(threads, points * size)
+        self._gathered = np.empty((chunks * points, size), dtype=np.uint8)
+        self._count = 0
+
+    def write(self, records: NDArray[np.uint8]) -> None:
+        """Append (n, record_length) points."""
+        size = len(self._gathered)
+        done = 0
+        while done < len(records):
+            if self._count == 0 and len(records) - done >= size:
+                super().write(records[done : done + size])
+                done += size
+                continue
+            count = min(size - self._count, len(records) - done)
+            self._gathered[self._count : self._count + count] = records[done : done + count]
+            self._count += count
+            done += count
+            if self._count == size:
+                self._write_gathered()
+
+    def finish(self) -> None:
+        """Write what belongs to the points: the last chunk, and the chunk table."""
+        if self._count:
+            self._write_gathered()
+        super().finish()
+
+    def _write_gathered(self) -> None:
+        super().write(self._gathered[: self._count])
+        self._count = 0
+
+
+class _ChannelChunks(_Chunks):
+    """Ends a chunk where the scanner channel changes.
+
+    lazrs, unlike LASzip, does not restore the wave packet that it remembers of each channel, and
+    so loses them.
+    """
+
+    def __init__(self, file: BinaryIO, vlr: Any) -> None:
+        super().__init__(lazrs.LasZipCompressor(file, vlr))
+        self._in_chunk = 0
+        self._channel = 0
+
+    def write(self, records: NDArray[np.uint8]) -> None:
+        """Append (n, record_length) points."""
+        channels = (records[:, 15] >> 4) & 3
+        starts = [0, *(np.flatnonzero(np.diff(channels)) + 1).tolist()]
+        for start, end in zip(starts, [*starts[1:], len(records)], strict=True):
+            if self._in_chunk and channels[start] != self._channel:
+                self._end_chunk()
+            self._channel = int(channels[start])
+            done = start
+            while done < end:
+                if self._in_chunk == _CHUNK:
+                    self._end_chunk()
+                count = min(end - done, _CHUNK - self._in_chunk)
+                super().write(records[done : done + count])
+                self._in_chunk += count
+                done += count
+
+    def _end_chunk(self) -> None:
+        self._compressor.finish_current_chunk()
+        self._in_chunk = 0

@@ -1,0 +1,229 @@
+"""LAS and LAZ 1.0 to 1.5, point formats 0 to 10, and COPC as input.
+
+A point travels as the raw bytes of its record. They are not turned into laspy's arrays and back,
+nor is the header, because laspy's writer renews what it understands (generating software, records
+reserved for others, text after a terminating zero) and the map must keep it. Fields are named as
+laspy names them, and coordinates are computed as laspy computes them.
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from copy import copy
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
+from tiling.formats.las.crs import crs_name, crs_units
+from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
+from tiling.formats.las.extra_bytes import extra_fields
+from tiling.formats.las.fields import standard_fields
+from tiling.formats.las.header import (
+    AT_WAVEFORMS,
+    WAVEFORMS_EXTERNAL,
+    LasHeader,
+    read_header,
+)
+from tiling.formats.las.laz import (
+    LaszipPoints,
+    LazPoints,
+    PointSource,
+    check_last_chunk,
+    laszip_is_installed,
+)
+from tiling.formats.las.laz_chunks import knows_chunks
+from tiling.formats.las.laz_header import Compression, read_compression
+from tiling.formats.las.laz_parallel import ParallelLazPoints, can_be_read_in_parallel
+from tiling.formats.las.laz_writer import LazWriter
+from tiling.formats.las.lazrs_pool import usable_threads
+from tiling.formats.las.surroundings import is_copc_index
+from tiling.formats.las.writer import LasPartWriter
+from tiling.formats.las_leftover import check_behind_points
+from tiling.formats.parts import PartWriter, SinglePartWriter
+from tiling.grid import Grid, integers_in_records
+
+
+class LasReader(MapReader):
+    """Reads a LAS, LAZ or COPC file; COPC points come in the file's order.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When the header, or what it says of the points, contradicts the format or the file's size.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._header = read_header(path)
+        self._compression: Compression | None = None
+        if self._header.compressed:
+            self._compression = read_compression(self._header)
+        with path.open("rb") as file:
+            notes = check_behind_points(file, self._header, self._compression)
+        self.description = _describe(self._header, notes)
+
+    @property
+    def seekable(self) -> bool:
+        """Whether points are not compressed, or in chunks that can be found."""
+        return self._compression is None or self._has_known_chunks
+
+    @cached_property
+    def _has_known_chunks(self) -> bool:
+        assert self._compression is not None
+        with self._header.path.open("rb") as file:
+            return knows_chunks(file, self._header, self._compression)
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        """Yield points whose `records` are (n, record_length) uint8."""
+        header = self._header
+        with header.path.open("rb") as file:
+            source = self._point_source(file, rows)
+            for first in range(rows.start, rows.stop, max_points):
+                count = min(max_points, rows.stop - first)
+                records = np.empty((count, header.record_length), dtype=np.uint8)
+                source.read_into(records)
+                yield self.batch_of(first, records)
+            if rows and rows.stop == header.point_count and self._compression is not None:
+                check_last_chunk(file, header, self._compression)
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record; see `MapReader.bytes_per_point`."""
+        return self._header.record_length
+
+    @property
+    def record_dtype(self) -> np.dtype[Any]:
+        """Bytes; see `MapReader.record_dtype`."""
+        return np.dtype((np.uint8, self._header.record_length))
+
+    def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
+        """Make a batch of raw records; see `MapReader.batch_of`."""
+        header = self._header
+        xyz, classes = coordinates(records, header), _classes(records, header)
+        return PointBatch(first_row, xyz, records, classes, _withheld(records, header))
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of a map with this one's header, VLRs and EVLRs."""
+        if self._compression is None:
+            return SinglePartWriter(self.part_writer(path, point_count))
+        threads = usable_threads(self.threads)
+        return LazWriter(path, point_count, self._header, self._compression, threads)
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether points are not compressed."""
+        return self._compression is None
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts of an uncompressed file; see `MapReader.part_writer`."""
+        if self._compression is not None:
+            return super().part_writer(path, point_count)
+        return LasPartWriter(path, point_count, self._header)
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedLas:
+        """Return what writes further extra bytes; see `MapReader.extended`."""
+        model = copy(self)
+        model._header = extended_header(self._header, fields)
+        if model._header.compressed:
+            model._compression = read_compression(model._header)
+        return ExtendedLas(model, fields, self._header)
+
+    def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
+        if self._compression is None:
+            return _RawPoints(file, self._header, rows.start)
+        if self._compression.needs_laszip and laszip_is_installed():
+            return LaszipPoints(file, self._header, self._compression, rows)
+        threads = usable_threads(self.threads)
+        if threads > 1 and can_be_read_in_parallel(file, self._header, self._compression):
+            return ParallelLazPoints(file, self._header, self._compression, rows, threads)
+        return LazPoints(file, self._header, self._compression, rows)
+
+
+class _RawPoints:
+    """The points of an uncompressed file from a row on, in order."""
+
+    def __init__(self, file: BinaryIO, header: LasHeader, first_row: int) -> None:
+        self._file = file
+        self._header = header
+        file.seek(header.points_offset + first_row * header.record_length)
+
+    def read_into(self, records: NDArray[np.uint8]) -> None:
+        """Read the next points into (n, record_length)."""
+        found = self._file.readinto(records.reshape(-1).data)  # type: ignore[attr-defined]
+        if found != records.size:
+            raise MapFormatError(
+                self._header.path,
+                f"{self._header.point_count} points",
+                "the file's end: it was cut after its header was read",
+                f"byte {self._file.tell()}",
+            )
+
+
+def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
+    """Return the coordinates of raw records, (n, 3), in the map's units."""
+    return Grid(header.scales, header.offsets).coordinates(integers_in_records(records))
+
+
+def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]:
+    """Return the ASPRS classes: until point format 5 they share their byte with three flags."""
+    if header.point_format < 6:
+        return records[:, 15] & np.uint8(31)
+    return records[:, 16].copy()
+
+
+def _withheld(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.bool_]:
+    """Return which points are withheld: one of the flags beside the class."""
+    return (records[:, 15] & np.uint8(128 if header.point_format < 6 else 4)) != 0
+
+
+def _describe(header: LasHeader, notes: tuple[str, ...]) -> MapDescription:
+    kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.minor_version}"
+    kind = f"{kind}, point format {header.point_format}"
+    if header.compressed and _has_copc_index(header):
+        kind = f"COPC ({kind})"
+    return MapDescription(
+        path=header.path,
+        format=kind,
+        suffix=".laz" if header.compressed else ".las",
+        point_count=header.point_count,
+        fields=(*standard_fields(header.point_format), *extra_fields(header)),
+        crs=crs_name(header.vlrs + header.evlrs),
+        units=crs_units(header.vlrs + header.evlrs),
+        has_classification=True,
+        largest_class=LAST_SHORT_CLASS if header.point_format < 6 else 255,
+        grid=Grid(header.scales, header.offsets),
+        notes=(*_notes(header), *notes),
+    )
+
+
+def _has_copc_index(header: LasHeader) -> bool:
+    return any(is_copc_index(record) for record in header.vlrs + header.evlrs)
+
+
+def _notes(header: LasHeader) -> Iterator[str]:
+    if _has_copc_index(header):
+        yield (
+            f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info "
+            "VLR and hierarchy EVLR) is left out, since it describes where other points lie."
+        )
+    if header.has_waveforms:
+        if header.global_encoding & WAVEFORMS_EXTERNAL:
+            yield (
+                "The waveform packets are in a .wdp file beside the input, which is not copied: "
+                "the points keep their places in it."
+            )
+        elif header.minor_version >= 3 and header.waveforms is None:
+            (start,) = struct.unpack_from("<Q", header.block, AT_WAVEFORMS)
+            if start:
+                yield (
+                    f"The waveform packets said to start at byte {start} are not there, "
+                    "and cannot be copied."
+                )

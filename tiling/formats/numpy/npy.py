@@ -1,0 +1,143 @@
+"""NumPy maps in one .npy file: an (N, 3 or more) array, or one with fields x, y and z."""
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import (
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+)
+from tiling.formats.extension import ExtendedFormat, ExtendedRecords
+from tiling.formats.leftover import check_leftover
+from tiling.formats.numpy.arrays import ArrayHeader, RowReader, RowWriter, read_array_header
+from tiling.formats.parts import PartWriter, SinglePartWriter
+
+_COLUMNS = ("x", "y", "z")
+
+
+class NpyReader(MapReader):
+    """Reads an array as points: its first three columns, or its fields x, y and z.
+
+    Type, byte order, the order of the elements, and further columns or fields are kept. Arrays of
+    Python objects are refused: nothing is ever unpickled.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When it is not such an array, or the file is too small for it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            header = read_array_header(file, path)
+        if not header.is_coordinates:
+            expected = (
+                "an (N, 3 or more) array of real numbers, a point a row, or one with fields "
+                "x, y and z"
+            )
+            raise MapFormatError(path, expected, str(header), at="the header")
+        size = path.stat().st_size
+        end = header.size + header.data_bytes
+        if size < end:
+            expected = f"{header.data_bytes} bytes of values ({header})"
+            found = f"{size - header.size} bytes"
+            raise MapFormatError(path, expected, found, at=f"byte {header.size}")
+        with path.open("rb") as file:
+            counted = f"{header.row_count} points"
+            notes = check_leftover(file, end, size, header.row_bytes, path, counted)
+        self._header = header
+        order = "Fortran order" if header.column_count > 1 else "C order"
+        self.description = MapDescription(
+            path=path,
+            format=f"NumPy npy {header.version}.0, {order}",
+            suffix=".npy",
+            point_count=header.row_count,
+            fields=array_fields(header),
+            notes=notes,
+        )
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a row; see `MapReader.bytes_per_point`."""
+        return self._header.row_bytes
+
+    @property
+    def seekable(self) -> bool:
+        """Always: every element has its place."""
+        return True
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        header = self._header
+        with self._path.open("rb") as file:
+            reader = RowReader(
+                [file] * header.column_count, header, self._path, first_row=rows.start
+            )
+            for first in range(rows.start, rows.stop, max_points):
+                records = reader.read(min(max_points, rows.stop - first))
+                yield PointBatch(first, header.coordinates(records), records)
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of an array like this one; see `MapReader.writer`."""
+        return SinglePartWriter(self.part_writer(path, point_count))
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further fields or columns; see `MapReader.extended`."""
+        model = copy(self)
+        header = self._header.extended(fields)
+        if header is None:
+            expected = "fields with names, or columns of floating point numbers, to add others to"
+            raise MapFormatError(self._path, expected, str(self._header), at="the header")
+        model._header = header
+        if not header.dtype.names:
+            # A column has the type of the others.
+            fields = [replace(field, dtype=header.dtype.name) for field in fields]
+        return ExtendedRecords(model, fields, "<" if header.dtype.names else header.dtype.str[0])
+
+    @property
+    def writes_parts(self) -> bool:
+        """Always: every element has its place."""
+        return True
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts; see `MapReader.part_writer`."""
+        return _NpyParts(path, point_count, self._header)
+
+
+class _NpyParts(PartWriter):
+    """Writes each row, or each element of it in Fortran order, to its place."""
+
+    def __init__(self, path: Path, point_count: int, header: ArrayHeader) -> None:
+        super().__init__(path, point_count)
+        self._header = header
+
+    def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
+        """Write rows to their places."""
+        RowWriter(file, self._header, self.point_count, first).write(records)
+
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        start = file.write(self._header.encode(self.point_count))
+        file.truncate(start + self.point_count * self._header.row_bytes)
+
+
+def array_fields(header: ArrayHeader) -> tuple[Field, ...]:
+    """Describe the fields of an array of points, whose columns have no names of their own."""
+    if header.dtype.names:
+        return header.fields("")
+    names = [*_COLUMNS, *(f"column {n}" for n in range(4, header.row_elements + 1))]
+    return tuple(Field(name, header.dtype.name) for name in names)

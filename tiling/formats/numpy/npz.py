@@ -1,0 +1,321 @@
+"""NumPy maps in an .npz archive: an array of points, or arrays x, y and z, and others beside."""
+
+import shutil
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from copy import copy
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import (
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+)
+from tiling.formats.coordinates import COORDINATES
+from tiling.formats.extension import ExtendedFormat, joined, packed
+from tiling.formats.leftover import check_leftover
+from tiling.formats.numpy.arrays import ArrayHeader, RowReader, RowWriter, read_array_header
+from tiling.formats.numpy.npy import array_fields
+from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.output_file import create_file
+
+_POINT_ARRAYS = ("points", "xyz", "arr_0")
+_COMPRESSIONS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
+_DEFLATE_LIMIT = 1040
+"""Deflate makes no more bytes than this out of one (about 1032, and a little for small data)."""
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """An entry of the archive; `header` is None for one that is not an array."""
+
+    info: zipfile.ZipInfo
+    name: str
+    header: ArrayHeader | None
+    is_per_point: bool = False
+
+
+class NpzReader(MapReader):
+    """Reads the arrays of an archive as points, all of them in step.
+
+    The coordinates are an array `points`, `xyz` or `arr_0` of shape (N, 3 or more) or with fields
+    x, y and z, or else three arrays x, y and z. Every other array of N rows belongs to the
+    points and is filtered along; any other entry is copied as it is.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When it is not such an archive, or its entries are too small for their arrays.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with _archive(path) as archive:
+            entries = _entries(archive, path)
+        by_name = {entry.name: entry.header for entry in entries if entry.header}
+        self._coordinates = _coordinate_arrays(by_name, path)
+        count = by_name[self._coordinates[0]].row_count
+        self._members = tuple(
+            _Member(e.info, e.name, e.header, _is_per_point(e.header, count)) for e in entries
+        )
+        self._columns = tuple(
+            (e.name, e.header) for e in self._members if e.header and e.is_per_point
+        )
+        # Fields are numbered: names of entries may be anything.
+        self._dtype = np.dtype(
+            [(f"array {n}", f"V{h.row_bytes}") for n, (_, h) in enumerate(self._columns)]
+        )
+        compression = _COMPRESSIONS[self._members[0].info.compress_type]
+        self.description = MapDescription(
+            path=path,
+            format=f"NumPy npz, {compression}",
+            suffix=".npz",
+            point_count=count,
+            fields=tuple(
+                field
+                for name, header in self._columns
+                for field in (
+                    array_fields(header) if [name] == self._coordinates else header.fields(name)
+                )
+            ),
+        )
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a row of all arrays; see `MapReader.bytes_per_point`."""
+        return self._dtype.itemsize
+
+    @property
+    def seekable(self) -> bool:
+        """Never: an entry is unpacked from its beginning."""
+        return False
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        with _archive(self._path) as archive, ExitStack() as streams:
+            readers = [
+                RowReader(
+                    [
+                        cast(BinaryIO, streams.enter_context(archive.open(f"{name}.npy")))
+                        for _ in range(header.column_count)
+                    ],
+                    header,
+                    self._path,
+                    f"array {name!r}",
+                    first_row=rows.start,
+                )
+                for name, header in self._columns
+            ]
+            for first in range(rows.start, rows.stop, max_points):
+                records = np.empty(min(max_points, rows.stop - first), dtype=self._dtype)
+                arrays = {}
+                for field, (name, _), reader in zip(
+                    self._dtype.names or (), self._columns, readers, strict=True
+                ):
+                    arrays[name] = reader.read(len(records))
+                    records[field] = arrays[name]
+                yield PointBatch(first, self._xyz(arrays), records)
+            if rows.stop == self.description.point_count:
+                for reader in readers:
+                    reader.finish()
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of an archive like this one; see `MapReader.writer`."""
+        return _NpzWriter(path, point_count, self._path, self._members)
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further arrays; see `MapReader.extended`."""
+        taken = {member.name for member in self._members}
+        members = list(self._members)
+        first = self._members[0].info
+        for field in fields:
+            if field.name in taken:
+                expected = f"no array {field.name!r}, which is to be added"
+                raise MapFormatError(self._path, expected, "one")
+            info = zipfile.ZipInfo(f"{field.name}.npy", first.date_time)
+            info.compress_type = first.compress_type
+            dtype = np.dtype(field.dtype).newbyteorder("<")
+            header = ArrayHeader(dtype.str, dtype, False, (0,), version=1, size=0)
+            members.append(_Member(info, field.name, header, is_per_point=True))
+        model = copy(self)
+        model._members = tuple(members)
+        return _ExtendedArrays(model, fields)
+
+    def _xyz(self, arrays: dict[str, NDArray[np.void]]) -> NDArray[np.float64]:
+        headers = dict(self._columns)
+        names = self._coordinates
+        if len(names) == 1:
+            return headers[names[0]].coordinates(arrays[names[0]])
+        xyz = np.empty((len(arrays[names[0]]), 3))
+        with np.errstate(all="ignore"):
+            for column, name in enumerate(names):
+                xyz[:, column] = arrays[name].view(headers[name].dtype)
+        return xyz
+
+
+class _ExtendedArrays(ExtendedFormat):
+    """Archives of points with further arrays."""
+
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> NDArray[Any]:
+        """Return the records with the values; see `ExtendedFormat.extend`."""
+        del classification
+        head = batch.records.dtype
+        tail = packed(self.fields, values)
+        count = len(head.names)
+        further = [
+            (f"array {count + n}", f"V{np.dtype(field.dtype).itemsize}")
+            for n, field in enumerate(self.fields)
+        ]
+        return joined(batch.records, tail).view(np.dtype([*head.descr, *further]))
+
+
+class _NpzWriter(MapWriter):
+    """Gathers each array of the points in a nameless temporary file, and then zips them.
+
+    An archive is written one entry after the other, and batches hold some rows of every entry.
+    """
+
+    def __init__(
+        self, path: Path, point_count: int, source: Path, members: tuple[_Member, ...]
+    ) -> None:
+        super().__init__(path, point_count)
+        self._source = source
+        self._members = members
+        self._file = create_file(path)
+        self._archive = zipfile.ZipFile(self._file, "w")
+        self._stack = ExitStack()
+        self._arrays: dict[str, tuple[BinaryIO, RowWriter]] = {}
+        for member in members:
+            if member.header and member.is_per_point:
+                spool = cast(BinaryIO, TemporaryFile(dir=path.parent))  # noqa: SIM115
+                self._stack.enter_context(spool)
+                spool.write(member.header.encode(point_count))
+                self._arrays[member.name] = spool, RowWriter(spool, member.header, point_count)
+
+    def _append(self, records: Any) -> None:
+        for field, (_, rows) in zip(records.dtype.names, self._arrays.values(), strict=True):
+            rows.write(np.ascontiguousarray(records[field]))
+
+    def _finish(self) -> None:
+        with self._file, self._stack, self._archive, _archive(self._source) as source:
+            for member in self._members:
+                info = zipfile.ZipInfo(member.info.filename, member.info.date_time)
+                info.compress_type = member.info.compress_type
+                info.external_attr = member.info.external_attr
+                with self._archive.open(info, "w", force_zip64=True) as target:
+                    if member.name in self._arrays and member.is_per_point:
+                        spool, _ = self._arrays[member.name]
+                        spool.seek(0)
+                        shutil.copyfileobj(spool, target, _BLOCK)
+                    else:
+                        with source.open(member.info.filename) as entry:
+                            shutil.copyfileobj(entry, target, _BLOCK)
+
+    def _abandon(self) -> None:
+        with self._file, self._stack:
+            self._archive.close()
+
+
+@contextmanager
+def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open an archive for reading, and turn what is wrong with it into a `MapFormatError`."""
+    with path.open("rb") as file:
+        start = file.read(SIGNATURE_LENGTH)
+    if not start.startswith(b"PK"):
+        raise MapFormatError(path, "a ZIP archive of NumPy arrays", kind_of(start), at="byte 0")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield archive
+    except (
+        zipfile.BadZipFile,  # structure, or a checksum
+        zlib.error,
+        EOFError,
+        NotImplementedError,  # a feature or version of ZIP that Python does not know
+        RuntimeError,  # encryption
+        ValueError,  # an offset out of the file, a name that is not text
+        KeyError,
+    ) as error:
+        found = str(error) or type(error).__name__
+        raise MapFormatError(path, "a whole ZIP archive of NumPy arrays", found) from error
+
+
+def _entries(archive: zipfile.ZipFile, path: Path) -> list[_Member]:
+    """Read the headers of all arrays."""
+    members: dict[str, _Member] = {}
+    size = path.stat().st_size
+    for info in archive.infolist():
+        if info.filename.endswith("/"):
+            continue
+        name = info.filename.removesuffix(".npy")
+        if info.filename in members:
+            raise MapFormatError(path, "each array once", f"a second {name!r}")
+        if info.compress_type not in _COMPRESSIONS:
+            found = f"compression method {info.compress_type}"
+            raise MapFormatError(path, f"array {name!r} stored or deflated", found)
+        most = info.compress_size
+        if info.compress_type == zipfile.ZIP_DEFLATED:
+            most = info.compress_size * _DEFLATE_LIMIT
+        if not 0 <= info.header_offset < size:
+            found = f"it at byte {info.header_offset} of {size}"
+            raise MapFormatError(path, f"array {name!r} within the file", found)
+        if info.compress_size > size or info.file_size > most:
+            found = f"{info.compress_size} bytes in a file of {size}"
+            raise MapFormatError(path, f"{info.file_size} bytes of {name!r}", found)
+        header = None
+        if info.filename.endswith(".npy"):
+            with archive.open(info) as stream:
+                header = read_array_header(cast(BinaryIO, stream), path, f"array {name!r}")
+            if header.size + header.data_bytes > info.file_size:
+                expected = f"{header.data_bytes} bytes of array {name!r} ({header})"
+                found = f"{info.file_size - header.size} bytes"
+                raise MapFormatError(path, expected, found, at=f"byte {header.size} of the entry")
+            end = header.size + header.data_bytes
+            if end < info.file_size:
+                counted = f"{header.row_count} rows of array {name!r}"
+                with archive.open(info) as stream:
+                    entry = cast(BinaryIO, stream)
+                    check_leftover(entry, end, info.file_size, header.row_bytes, path, counted)
+        members[info.filename] = _Member(info, name, header)
+    return list(members.values())
+
+
+def _coordinate_arrays(arrays: dict[str, ArrayHeader], path: Path) -> list[str]:
+    """Return the name of the array of points, or of the three arrays of coordinates."""
+    for name in _POINT_ARRAYS:
+        if name in arrays and arrays[name].is_coordinates:
+            return [name]
+    columns = [arrays[name] for name in COORDINATES if name in arrays]
+    if (
+        len(columns) == len(COORDINATES)
+        and all(column.is_column for column in columns)
+        and len({column.row_count for column in columns}) == 1
+    ):
+        return list(COORDINATES)
+    expected = f"an (N, 3 or more) array {', '.join(_POINT_ARRAYS)}, or (N,) arrays x, y and z"
+    found = ", ".join(f"{name!r} ({header})" for name, header in list(arrays.items())[:6])
+    raise MapFormatError(path, expected, found or "no arrays")
+
+
+def _is_per_point(header: ArrayHeader | None, count: int) -> bool:
+    return header is not None and len(header.shape) > 0 and header.row_count == count

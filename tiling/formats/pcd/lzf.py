@@ -1,0 +1,207 @@
+"""LZF compression as a stream, in the form that binary_compressed PCD files hold.
+
+The format is that of Marc Lehmann's LibLZF: a sequence of instructions, each with a control byte.
+
+- `000LLLLL` and L + 1 bytes: these bytes themselves (1 to 32 of them);
+- `LLLDDDDD dddddddd`, L from 1 to 6: L + 2 bytes again, from D * 256 + d + 1 bytes back;
+- `111DDDDD llllllll dddddddd`: the same for l + 9 bytes.
+
+A copy reaches back 8192 bytes at most, so a window of that size is all that a decoder must keep,
+and blocks compressed on their own make one valid stream when written one after the other.
+
+Neither end of this module holds more than a few MiB, whatever the size of the data.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.compiled import compiled
+from tiling.errors import MapFormatError
+
+BLOCK = 1 << 20
+"""Bytes read, compressed or decompressed at a time."""
+
+REACH = 1 << 13
+"""How far back a copy can reach."""
+
+LONGEST_COPY = 264
+LONGEST_LITERAL = 32
+
+EXPANSION = LONGEST_COPY // 3
+"""Most bytes that one compressed byte can stand for: the longest copy takes three."""
+
+_HASH_BITS = 16
+_DONE, _BEFORE_START = 0, 1
+
+Bytes = NDArray[np.uint8]
+
+
+def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Iterator[Bytes]:
+    """Decompress the next `packed_size` bytes of a stream.
+
+    Parameters
+    ----------
+    stream : binary file
+        At the first compressed byte.
+    packed_size, size : int
+        Bytes before and after decompression, as the file gives them.
+    path : Path
+        The file, for messages.
+
+    Yields
+    ------
+    (n,) uint8 array
+        The next bytes, of a buffer that is used again: they must be copied before the next step.
+
+    Raises
+    ------
+    MapFormatError
+        When the data are truncated, point back before their beginning, or give another number of
+        bytes than `size`.
+    """
+    window = np.empty(REACH + BLOCK, dtype=np.uint8)
+    filled = kept = produced = 0
+    packed = b""
+    start, left = stream.tell(), packed_size
+    while left or packed:
+        block = stream.read(min(BLOCK, left))
+        if left and not block:
+            raise MapFormatError(
+                path, f"{packed_size} compressed bytes", "the end of the file", f"byte {start}"
+            )
+        left -= len(block)
+        packed += block
+        used, filled, fault = _decode(np.frombuffer(packed, dtype=np.uint8), window, filled)
+        start += used
+        packed = packed[used:]
+        if fault == _BEFORE_START:
+            raise MapFormatError(
+                path, "LZF data", "a copy of bytes before the first", f"byte {start}"
+            )
+        produced += filled - kept
+        if produced > size:
+            raise MapFormatError(
+                path, f"{size} bytes of LZF data", "more than these", f"byte {start}"
+            )
+        if not left and not used and packed:
+            raise MapFormatError(
+                path, "LZF data", "an instruction that is cut short", f"byte {start}"
+            )
+        yield window[kept:filled]
+        # What a copy may still reach moves to the front.
+        kept = min(filled, REACH)
+        window[:kept] = window[filled - kept : filled].copy()
+        filled = kept
+    if produced != size:
+        raise MapFormatError(
+            path, f"{size} bytes of LZF data", f"{produced} bytes", f"byte {start}"
+        )
+
+
+def compress(block: Bytes) -> bytes:
+    """Compress a block; the results of successive blocks make one stream.
+
+    Parameters
+    ----------
+    block : (n,) uint8 array
+        Less than 2 GiB; `BLOCK` bytes are a good size.
+
+    Returns
+    -------
+    bytes
+        At most n + n / 32 + 1 of them.
+    """
+    packed = np.empty(len(block) + len(block) // LONGEST_LITERAL + 8, dtype=np.uint8)
+    latest = np.full(1 << _HASH_BITS, -1, dtype=np.int32)
+    return packed[: _encode(block, packed, latest)].tobytes()
+
+
+@compiled
+def _decode(packed: Bytes, window: Bytes, filled: int) -> tuple[int, int, int]:
+    """Decode whole instructions while the window has room.
+
+    Returns the compressed bytes used, the bytes of the window that are filled, and the fault.
+    """
+    position = 0
+    while position < len(packed):
+        control = int(packed[position])
+        if control < LONGEST_LITERAL:
+            after = position + control + 2
+            if after > len(packed) or filled + control + 1 > len(window):
+                break
+            for source in range(position + 1, after):
+                window[filled] = packed[source]
+                filled += 1
+        else:
+            after = position + (3 if control >> 5 == 7 else 2)
+            if after > len(packed):
+                break
+            length = (control >> 5) + 2
+            if control >> 5 == 7:
+                length += int(packed[position + 1])
+            if filled + length > len(window):
+                break
+            source = filled - ((control & 31) << 8) - int(packed[after - 1]) - 1
+            if source < 0:
+                return position, filled, _BEFORE_START
+            for _ in range(length):
+                window[filled] = window[source]
+                filled += 1
+                source += 1
+        position = after
+    return position, filled, _DONE
+
+
+@compiled
+def _encode(block: Bytes, packed: Bytes, latest: NDArray[np.int32]) -> int:
+    """Encode a block greedily and return the number of bytes that it takes.
+
+    `latest` holds, for each hash of three bytes, where these were met last.
+    """
+    position = written = literal = 0
+    while position + 2 < len(block):
+        triple = (
+            (int(block[position]) << 16)
+            | (int(block[position + 1]) << 8)
+            | int(block[position + 2])
+        )
+        slot = ((triple * 2654435761) & 0xFFFFFFFF) >> (32 - _HASH_BITS)
+        source = int(latest[slot])
+        latest[slot] = position
+        length = 0
+        if source >= 0 and position - source <= REACH:
+            most = min(LONGEST_COPY, len(block) - position)
+            while length < most and block[source + length] == block[position + length]:
+                length += 1
+        if length < 3:
+            position += 1
+            continue
+        written = _put_literals(block, literal, position, packed, written)
+        back = position - source - 1
+        if length < 9:
+            packed[written] = ((length - 2) << 5) | (back >> 8)
+        else:
+            packed[written] = (7 << 5) | (back >> 8)
+            written += 1
+            packed[written] = length - 9
+        packed[written + 1] = back & 255
+        written += 2
+        position += length
+        literal = position
+    return _put_literals(block, literal, len(block), packed, written)
+
+
+@compiled
+def _put_literals(block: Bytes, start: int, stop: int, packed: Bytes, written: int) -> int:
+    """Write the bytes from `start` to `stop` as they are; return where the next go."""
+    while start < stop:
+        length = min(LONGEST_LITERAL, stop - start)
+        packed[written] = length - 1
+        packed[written + 1 : written + 1 + length] = block[start : start + length]
+        written += 1 + length
+        start += length
+    return written

@@ -1,0 +1,370 @@
+"""PCD, the format of the Point Cloud Library: ascii, binary and binary_compressed.
+
+A point's record is never taken apart: in the binary encodings it is a run of bytes, in ascii a
+line of text. Only x, y and z are read from it. Ascii coordinates are the float64 nearest to the
+text, also where the header says float32, so that what is computed is what the file says; integers
+beyond 2**53 are the only coordinates that float64 does not hold exactly.
+
+Less than a point behind the last one, and padding, which some writers leave in the binary
+encodings, are passed over.
+
+All encodings are streamed. A binary_compressed file, one LZF stream over whole columns, is
+decompressed to, and compressed from, a temporary file of the size of its points.
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import (
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+    only_rows,
+)
+from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.leftover import check_leftover
+from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
+from tiling.formats.pcd import lzf
+from tiling.formats.pcd.column_spool import ColumnSpool
+from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
+from tiling.formats.text_rows import RowLayout, read_rows
+from tiling.output_file import create_file
+
+_SIZES = struct.Struct("<II")
+"""What precedes compressed data: their size, and that of the columns."""
+
+_PCL_TYPES = {"label": "uint32"}
+"""Types that fields must have for the Point Cloud Library to find them (`PointXYZL`)."""
+
+
+class PcdReader(MapReader):
+    """Reads a PCD file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    MapFormatError
+        When the header is not one of a PCD file with x, y and z, or promises more than the file
+        can hold.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = Path(path)
+        with self._path.open("rb") as stream:
+            self._header = read_header(stream, self._path)
+            size = self._path.stat().st_size - self._header.data_offset
+            self._stored = self._header.fields
+            if self._header.encoding == "binary_compressed":
+                self._packed_size, self._stored = self._check_compressed(stream, size)
+            else:
+                self._check_size(size)
+            notes = self._check_leftover(stream, self._header.data_offset + size)
+        if self._header.height > 1:
+            shape = f"{self._header.width} x {self._header.height}"
+            organised = f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1."
+            notes = (organised, *notes)
+        self.description = MapDescription(
+            path=self._path,
+            format=f"PCD {self._header.encoding}",
+            suffix=".pcd",
+            point_count=self._header.point_count,
+            fields=self._header.described_fields(),
+            notes=notes,
+        )
+
+    @property
+    def seekable(self) -> bool:
+        """Whether the points are records of one size; compressed ones are columns."""
+        return self._header.encoding == "binary"
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        if self._header.encoding == "ascii":
+            batches = self._ascii_batches(max_points)
+            # All of them are read to the end, to find what is behind the last.
+            everything = rows == range(self._header.point_count)
+            return batches if everything else only_rows(batches, rows)
+        if self._header.encoding == "binary":
+            return self._binary_batches(max_points, rows)
+        return self._compressed_batches(max_points, rows)
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
+        if self._header.encoding == "ascii":
+            return PcdAsciiWriter(path, point_count, self._header)
+        if self._header.encoding == "binary":
+            return SinglePartWriter(self.part_writer(path, point_count))
+        widths = tuple(field.width for field in self._stored)
+        return PcdCompressedWriter(path, point_count, self._header, widths)
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether the points are records of one size; compressed ones are columns."""
+        return self._header.encoding == "binary"
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
+        if self._header.encoding != "binary":
+            return super().part_writer(path, point_count)
+        return PcdBinaryParts(path, point_count, self._header)
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further fields; see `MapReader.extended`."""
+        fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
+        model = copy(self)
+        model._header = self._header.extended(
+            [field.name for field in fields], [field.dtype for field in fields]
+        )
+        model._stored = (*self._stored, *model._header.fields[-len(fields) :])
+        if self._header.encoding == "ascii":
+            return ExtendedText(model, fields)
+        return ExtendedRecords(model, fields)
+
+    def _check_size(self, size: int) -> None:
+        """Compare the points announced with the bytes that follow the header."""
+        header = self._header
+        least = header.point_count * header.record_size
+        if header.encoding == "ascii" and header.point_count:
+            # Every value has a digit and something after it, save the last one.
+            least = header.point_count * header.value_count * 2 - 1
+        if least > size:
+            raise MapFormatError(
+                self._path,
+                f"at least {least} bytes for {header.point_count} points",
+                str(size),
+                f"byte {header.data_offset}",
+            )
+
+    def _check_leftover(self, stream: BinaryIO, stop: int) -> tuple[str, ...]:
+        """Refuse points that the header does not count; return notes on other bytes.
+
+        Rows of text are counted when they are read, unless there is none to be read.
+        """
+        header = self._header
+        start, record_size = header.data_offset, header.record_size
+        if header.encoding == "ascii":
+            if header.point_count:
+                return ()
+            record_size = 2 * header.value_count - 1
+        elif header.encoding == "binary":
+            start += header.point_count * record_size
+        else:
+            start += _SIZES.size + self._packed_size
+        counted = f"{header.point_count} points"
+        notes = check_leftover(stream, start, stop, record_size, self._path, counted)
+        return () if header.encoding == "ascii" else notes
+
+    def _check_compressed(self, stream: BinaryIO, size: int) -> tuple[int, tuple[PcdField, ...]]:
+        """Return the size of the compressed data, and the fields that are in them.
+
+        PCL leaves padding fields (`_`) out of the data, and others do not: the size tells.
+        """
+        header = self._header
+        at = f"byte {header.data_offset}"
+        if header.point_count == 0:
+            return 0, header.fields
+        sizes = stream.read(_SIZES.size)
+        if len(sizes) < _SIZES.size:
+            raise MapFormatError(self._path, "the sizes of compressed data", "the file's end", at)
+        packed_size, column_size = _SIZES.unpack(sizes)
+        if packed_size > size - _SIZES.size:
+            expected = f"{packed_size} compressed bytes"
+            raise MapFormatError(self._path, expected, str(size - _SIZES.size), at)
+        named = tuple(field for field in header.fields if field.name != "_")
+        for fields in (header.fields, named):
+            if column_size == header.point_count * sum(field.width for field in fields):
+                break
+        else:
+            expected = f"{header.point_count * header.record_size} uncompressed bytes"
+            raise MapFormatError(self._path, expected, str(column_size), at)
+        if column_size > packed_size * lzf.EXPANSION:
+            expected = f"compressed data for {column_size} bytes"
+            raise MapFormatError(self._path, expected, f"only {packed_size} bytes", at)
+        return packed_size, fields
+
+    def _ascii_batches(self, max_points: int) -> Iterator[PointBatch]:
+        header = self._header
+        x, y, z = (header.first_value(field) for field in header.coordinates)
+        layout = RowLayout(header.value_count, (x, y, z))
+        first_row = 0
+        with self._path.open("rb") as stream:
+            stream.seek(header.data_offset)
+            first_line = len(header.lines) + 1
+            for rows, xyz in read_rows(
+                stream, layout, header.point_count, max_points, self._path, first_line
+            ):
+                yield PointBatch(first_row, xyz, rows)
+                first_row += len(rows)
+
+    def _binary_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        header = self._header
+        with self._path.open("rb") as stream:
+            stream.seek(header.data_offset + rows.start * header.record_size)
+            for first_row in range(rows.start, rows.stop, max_points):
+                count = min(max_points, rows.stop - first_row)
+                data = stream.read(count * header.record_size)
+                if len(data) < count * header.record_size:
+                    raise MapFormatError(
+                        self._path,
+                        f"{header.point_count} points",
+                        "the end of the file",
+                        f"byte {stream.tell()}",
+                    )
+                records = np.frombuffer(data, dtype=f"V{header.record_size}")
+                yield self.batch_of(first_row, records)
+
+    def _compressed_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        count = self._header.point_count
+        widths = tuple(field.width for field in self._stored)
+        if count == 0:
+            return
+        with self._path.open("rb") as stream, ColumnSpool(widths, count) as spool:
+            stream.seek(self._header.data_offset + _SIZES.size)
+            for block in lzf.decompress(stream, self._packed_size, count * sum(widths), self._path):
+                spool.append(block)
+            for first_row in range(rows.start, rows.stop, max_points):
+                records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
+                yield self.batch_of(first_row, records)
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record, or of a short line; see `MapReader.bytes_per_point`."""
+        return self._header.record_size
+
+    @property
+    def record_dtype(self) -> np.dtype[Any] | None:
+        """Bytes, but of an ASCII file; see `MapReader.record_dtype`."""
+        if self._header.encoding == "ascii":
+            return None
+        return np.dtype(f"V{sum(field.width for field in self._stored)}")
+
+    def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
+        """Make a batch of binary records; see `MapReader.batch_of`."""
+        xyz = np.empty((len(records), 3), dtype=np.float64)
+        for axis, field in enumerate(self._header.coordinates):
+            start = sum(other.width for other in self._stored if other.offset < field.offset)
+            values: NDArray[Any] = np.ndarray(
+                len(records),
+                dtype=np.dtype(field.dtype).newbyteorder("<"),
+                buffer=records,
+                offset=start,
+                strides=(records.itemsize,),
+            )
+            # A signalling NaN is no reason to warn.
+            with np.errstate(invalid="ignore"):
+                xyz[:, axis] = values
+        return PointBatch(first_row, xyz, records)
+
+
+class PcdWriter(MapWriter):
+    """Writes a PCD file after the model of another.
+
+    Parameters
+    ----------
+    path : Path
+    point_count : int
+        Points that it will hold.
+    header : PcdHeader
+        Of the file that serves as the model.
+    """
+
+    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
+        super().__init__(path, point_count)
+        self._stream = create_file(path)  # closed by `_finish` and `_abandon`
+        self._stream.write(header.for_points(point_count))
+
+    def _finish(self) -> None:
+        self._stream.close()
+
+    def _abandon(self) -> None:
+        self._stream.close()
+
+
+class PcdAsciiWriter(PcdWriter):
+    """Writes rows as they stood in the file they come from."""
+
+    _ended = True
+
+    def _append(self, records: Any) -> None:
+        text = records.tobytes()
+        if not self._ended:
+            self._stream.write(b"\n")
+        self._stream.write(text)
+        # The last row of a file may have no line ending.
+        self._ended = text.endswith(b"\n")
+
+
+class PcdBinaryParts(PartWriter):
+    """Writes records of one size, each to its place.
+
+    Parameters
+    ----------
+    path, point_count, header
+        As for `PcdWriter`.
+    """
+
+    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
+        super().__init__(path, point_count)
+        self._start = header.for_points(point_count)
+        self._record_size = header.record_size
+
+    def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
+        """Write records to their places."""
+        put_records(file, len(self._start) + first * self._record_size, records)
+
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        file.write(self._start)
+        file.truncate(len(self._start) + self.point_count * self._record_size)
+
+
+class PcdCompressedWriter(PcdWriter):
+    """Collects columns in a temporary file, and compresses them in the end.
+
+    Parameters
+    ----------
+    path, point_count, header
+        As for `PcdWriter`.
+    widths : tuple of int
+        Bytes that each column takes in a record.
+    """
+
+    def __init__(
+        self, path: Path, point_count: int, header: PcdHeader, widths: tuple[int, ...]
+    ) -> None:
+        super().__init__(path, point_count, header)
+        self._column_size = point_count * sum(widths)
+        self._spool = ColumnSpool(widths, point_count)
+        self._stored = 0
+
+    def _append(self, records: Any) -> None:
+        self._spool.write_points(self._stored, records)
+        self._stored += len(records)
+
+    def _finish(self) -> None:
+        with self._stream, self._spool:
+            sizes_at = self._stream.tell()
+            self._stream.write(_SIZES.pack(0, 0))
+            packed_size = 0
+            for block in self._spool.blocks():
+                packed_size += self._stream.write(lzf.compress(block))
+            if max(packed_size, self._column_size) >= 1 << 32:
+                found = f"{packed_size} of {self._column_size}"
+                raise MapFormatError(self.path, "compressed data below 4 GiB", found)
+            self._stream.seek(sizes_at)
+            self._stream.write(_SIZES.pack(packed_size, self._column_size))
+
+    def _abandon(self) -> None:
+        self._spool.close()
+        super()._abandon()

@@ -1,0 +1,327 @@
+"""PLY maps: ASCII and binary of both byte orders, with any properties and further elements."""
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.base import (
+    Field,
+    MapDescription,
+    MapReader,
+    MapWriter,
+    PointBatch,
+    only_rows,
+)
+from tiling.formats.coordinates import coordinate_names
+from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.leftover import check_leftover
+from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
+from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
+from tiling.formats.ply.rows import PlyRows, open_rows
+from tiling.output_file import create_file
+
+_BLOCK = 1 << 20
+
+
+class PlyReader(MapReader):
+    """Reads the vertices of a PLY file as points.
+
+    Rows of an ASCII file stay text and records of a binary file stay in its byte order, so no
+    digit changes. Elements beside the vertices go to the output as they are, apart from those
+    that mean vertices by number (faces, edges): these lose their sense with the first point
+    removed and are left out, which the description's notes say.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    MapFormatError
+        When the header is not one of a PLY map, or the file too small for what it announces.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            self._header = read_header(file, path)
+        self._spans: dict[str, tuple[int, int]] | None = None
+        vertex = self._header.vertex
+        names = coordinate_names([each.name for each in vertex.scalars])
+        if names is None:
+            found = ", ".join(each.name for each in vertex.properties) or "none"
+            raise MapFormatError(path, "vertex properties x, y and z", found, at="the header")
+        self._names = names
+        self._check_size()
+        notes = self._check_what_is_known()
+        self.description = MapDescription(
+            path=path,
+            format=f"PLY {self._header.encoding} 1.0",
+            suffix=".ply",
+            point_count=vertex.count,
+            fields=tuple(_field(each) for each in vertex.properties),
+            notes=(
+                *(
+                    f"The {e.count} records of element {e.name!r} mean vertices by their number "
+                    f"and are left out."
+                    for e in self._header.dropped
+                ),
+                *notes,
+            ),
+        )
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Bytes of a record, or of the shortest; see `MapReader.bytes_per_point`."""
+        return self._header.vertex.least_bytes
+
+    @property
+    def seekable(self) -> bool:
+        """Whether the vertices are binary records of one size, with none of unknown size before."""
+        elements = self._header.elements
+        before = elements[: elements.index(self._header.vertex) + 1]
+        return self._header.encoding != "ascii" and all(each.is_fixed for each in before)
+
+    def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        if rows == range(self.description.point_count):
+            return self._all_batches(max_points)
+        if self.seekable:
+            return self._range_batches(max_points, rows)
+        return only_rows(self._all_batches(max_points), rows)
+
+    def _range_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
+        """Yield some vertices, each of which has its place in the file."""
+        with self._path.open("rb") as file:
+            reader = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                if element.name == VERTEX:
+                    break
+                reader.skip(element)
+            reader.skip(element, rows.start)
+            for first in range(rows.start, rows.stop, max_points):
+                most = min(max_points, rows.stop - first)
+                records, xyz = reader.take(element, most, self._names)
+                yield PointBatch(first, xyz, records)
+        if rows.stop == self.description.point_count:
+            self._check_to_the_end()
+
+    def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
+        spans: dict[str, tuple[int, int]] = {}
+        with self._path.open("rb") as file:
+            rows = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                start = rows.position
+                if element.name != VERTEX:
+                    # The elements after the last vertex need checking only once.
+                    if VERTEX not in spans or self._spans is None:
+                        rows.skip(element)
+                else:
+                    first = 0
+                    while first < element.count:
+                        most = min(max_points, element.count - first)
+                        records, xyz = rows.take(element, most, self._names)
+                        yield PointBatch(first, xyz, records)
+                        first += len(records)
+                spans[element.name] = (start, rows.position)
+            if self._spans is None:
+                self._check_behind(file, rows)
+                self._spans = spans
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of a PLY file like this one; see `MapReader.writer`."""
+        if self.writes_parts:
+            return SinglePartWriter(self.part_writer(path, point_count))
+        return _PlyWriter(path, point_count, self._header, self._kept_elements())
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether the vertices are binary records of one size."""
+        return self._header.encoding != "ascii" and self._header.vertex.is_fixed
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
+        if not self.writes_parts:
+            return super().part_writer(path, point_count)
+        return _PlyParts(path, point_count, self._header, self._kept_elements())
+
+    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+        """Return what writes further properties; see `MapReader.extended`."""
+        self._kept_elements()  # found by this header, the one of the file
+        model = copy(self)
+        model._header = self._header.extended(
+            [field.name for field in fields], [field.dtype for field in fields]
+        )
+        if self._header.encoding == "ascii":
+            return ExtendedText(model, fields)
+        return ExtendedRecords(model, fields, self._header.byte_order)
+
+    def _check_size(self) -> None:
+        """Compare the counts of the header with the size of the file."""
+        header = self._header
+        size = self._path.stat().st_size
+        if header.encoding == "ascii":
+            # A digit and a blank or line end for each number; the last line may lack its end.
+            needed = max(sum(2 * len(e.properties) * e.count for e in header.elements) - 1, 0)
+        else:
+            needed = sum(e.least_bytes * e.count for e in header.elements)
+        if size - header.size < needed:
+            counts = ", ".join(f"{e.count} {e.name}" for e in header.elements)
+            raise MapFormatError(
+                self._path,
+                f"at least {needed} bytes after the header for its elements ({counts})",
+                f"{size - header.size} bytes",
+                at=f"byte {header.size}",
+            )
+
+    def _kept_elements(self) -> "_KeptElements":
+        """Find the elements to copy before and after the vertices."""
+        header = self._header
+        others = [e for e in header.elements if e.name != VERTEX]
+        kept = [e for e in others if e.count and e not in header.dropped]
+        if not kept:
+            return _KeptElements(self._path)
+        found = self._check_to_the_end()
+        vertex_start = found[VERTEX][0]
+        spans = [found[element.name] for element in kept]
+        return _KeptElements(
+            self._path,
+            before=tuple(span for span in spans if span[0] < vertex_start),
+            after=tuple(span for span in spans if span[0] >= vertex_start),
+        )
+
+    def _check_what_is_known(self) -> tuple[str, ...]:
+        """Refuse vertices that the header does not count, where no record need be read for that.
+
+        Otherwise they are met when the last vertex has been read; unless there is none to be read.
+        """
+        header = self._header
+        if header.encoding != "ascii" and all(each.is_fixed for each in header.elements):
+            with self._path.open("rb") as file:
+                rows = open_rows(file, header, self._path)
+                for element in header.elements:
+                    rows.skip(element)
+                return self._check_behind(file, rows)
+        if not header.vertex.count:
+            self._check_to_the_end()
+        return ()
+
+    def _check_behind(self, file: BinaryIO, rows: PlyRows) -> tuple[str, ...]:
+        """Refuse bytes behind all elements that could be another vertex."""
+        vertex = self._header.vertex
+        counts = ", ".join(f"{e.count} {e.name}" for e in self._header.elements)
+        is_text = self._header.encoding == "ascii"
+        least = 2 * len(vertex.properties) - 1 if is_text else vertex.least_bytes
+        stop = self._path.stat().st_size
+        return check_leftover(file, rows.position, stop, least, self._path, counts)
+
+    def _check_to_the_end(self) -> dict[str, tuple[int, int]]:
+        """Read all elements once; return where each of them begins and ends."""
+        if self._spans is None:
+            spans = {}
+            with self._path.open("rb") as file:
+                rows = open_rows(file, self._header, self._path)
+                for element in self._header.elements:
+                    start = rows.position
+                    rows.skip(element)
+                    spans[element.name] = (start, rows.position)
+                self._check_behind(file, rows)
+            self._spans = spans
+        return self._spans
+
+
+@dataclass(frozen=True, slots=True)
+class _KeptElements:
+    """Bytes of the source, from and to, that stand before and after the vertices of an output."""
+
+    source: Path
+    before: tuple[tuple[int, int], ...] = ()
+    after: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def size_before(self) -> int:
+        """Bytes of those before the vertices."""
+        return sum(end - start for start, end in self.before)
+
+    def copy_before(self, target: BinaryIO) -> None:
+        """Append the elements before the vertices."""
+        self._copy(self.before, target)
+
+    def copy_after(self, target: BinaryIO) -> None:
+        """Append the elements after the vertices."""
+        self._copy(self.after, target)
+
+    def _copy(self, spans: tuple[tuple[int, int], ...], target: BinaryIO) -> None:
+        if spans:
+            with self.source.open("rb") as source:
+                for start, end in spans:
+                    _copy_bytes(source, target, start, end)
+
+
+class _PlyWriter(MapWriter):
+    """Writes vertices under the header of the source, and copies its other elements."""
+
+    def __init__(
+        self, path: Path, point_count: int, header: PlyHeader, kept: _KeptElements
+    ) -> None:
+        super().__init__(path, point_count)
+        self._is_text = header.encoding == "ascii"
+        self._kept = kept
+        self._file = create_file(path)
+        self._file.write(header.encode(point_count))
+        kept.copy_before(self._file)
+
+    def _append(self, records: Any) -> None:
+        self._file.write(records.tobytes() if self._is_text else b"".join(records))
+
+    def _finish(self) -> None:
+        self._kept.copy_after(self._file)
+        self._file.close()
+
+    def _abandon(self) -> None:
+        self._file.close()
+
+
+class _PlyParts(PartWriter):
+    """Writes vertices of one size, each to its place, and copies the other elements."""
+
+    def __init__(
+        self, path: Path, point_count: int, header: PlyHeader, kept: _KeptElements
+    ) -> None:
+        super().__init__(path, point_count)
+        self._header = header.encode(point_count)
+        self._kept = kept
+        self._start = len(self._header) + kept.size_before
+        self._record_size = header.vertex.least_bytes
+
+    def put(self, file: BinaryIO, first: int, records: NDArray[Any]) -> None:
+        """Write records to their places."""
+        put_records(file, self._start + first * self._record_size, records)
+
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        file.write(self._header)
+        self._kept.copy_before(file)
+        end = self._start + self.point_count * self._record_size
+        file.truncate(end)
+        file.seek(end)
+        self._kept.copy_after(file)
+
+
+def _copy_bytes(source: BinaryIO, target: BinaryIO, start: int, end: int) -> None:
+    source.seek(start)
+    while start < end:
+        block = source.read(min(_BLOCK, end - start))
+        if not block:
+            break
+        target.write(block)
+        start += len(block)
+
+
+def _field(each: PlyProperty) -> Field:
+    name = each.dtype.newbyteorder("=").name
+    return Field(each.name, name if each.count_dtype is None else f"list of {name}")

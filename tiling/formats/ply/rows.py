@@ -1,0 +1,360 @@
+"""The records of a PLY file, read one after the other as a stream: text or binary.
+
+Both readers keep a record as the bytes it has in the file. Numbers are taken out of it only for
+the properties that are asked for.
+"""
+
+import os
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.ply.header import PlyElement, PlyHeader
+from tiling.formats.text_rows import RowLayout, TextRows, parse_rows
+
+_BLOCK = 1 << 20
+_LONGEST_LINE = 1 << 24
+_LENGTH_TYPES = {
+    "i1": "b",
+    "u1": "B",
+    "i2": "h",
+    "u2": "H",
+    "i4": "i",
+    "u4": "I",
+    "i8": "q",
+    "u8": "Q",
+}
+_MOST_BYTES = 1 << 26
+"""Bytes of records of no fixed size after which a batch ends early."""
+
+
+class PlyRows(ABC):
+    """Records from a place in the file on.
+
+    Attributes
+    ----------
+    position : int
+        Byte at which the next record begins.
+    """
+
+    position: int
+
+    @abstractmethod
+    def take(
+        self, element: PlyElement, most: int, names: Sequence[str] = ()
+    ) -> tuple[TextRows | NDArray[Any], NDArray[np.float64]]:
+        """Read the next records, at least one and at most `most`, all of `element`.
+
+        Returns
+        -------
+        records : TextRows or (n,) array
+            As they stand in the file.
+        values : (n, len(names)) float64 array
+            The numbers of the properties asked for.
+
+        Raises
+        ------
+        MapFormatError
+            When the file ends before, or a record is not what the header says.
+        """
+
+    def skip(self, element: PlyElement, count: int | None = None) -> None:
+        """Pass over the next records of `element`, otherwise all, checking them on the way."""
+        left = element.count if count is None else count
+        while left:
+            left -= len(self.take(element, min(left, _BLOCK // 16))[0])
+
+
+def open_rows(file: BinaryIO, header: PlyHeader, path: Path) -> PlyRows:
+    """Return the records after the header, for the file's encoding."""
+    file.seek(header.size)
+    return (AsciiRows if header.encoding == "ascii" else BinaryRows)(file, header, path)
+
+
+class AsciiRows(PlyRows):
+    """Records that are lines of text; blank lines are no records."""
+
+    def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
+        self.position = header.size
+        self._file = file
+        self._path = path
+        self._line_end = header.line_end
+        self._line = len(header.lines) + 1
+        self._block = b""
+        self._at = 0
+        self._rest = b""
+
+    def take(
+        self, element: PlyElement, most: int, names: Sequence[str] = ()
+    ) -> tuple[TextRows, NDArray[np.float64]]:
+        """Read the next lines; see `PlyRows.take`."""
+        rows, values = self._rows(element, most, names)
+        while not len(rows):
+            if not self._refill():
+                expected = f"all {element.count} records of {element.name!r}"
+                self._fail(expected, "the end of the file", self._line)
+            rows, values = self._rows(element, most, names)
+        for column, name in enumerate(names):
+            dtype = element.scalar_dtype[name]
+            if dtype.kind == "f":
+                with np.errstate(all="ignore"):
+                    values[:, column] = values[:, column].astype(dtype)
+        return rows, values
+
+    def _refill(self) -> bool:
+        """Read further whole lines; return False at the end of the file."""
+        pieces = [self._rest]
+        size = len(self._rest)
+        self._rest = b""
+        while block := self._file.read(_BLOCK):
+            end = block.rfind(self._line_end) + 1
+            pieces.append(block[:end] if end else block)
+            if end:
+                self._rest = block[end:]
+                break
+            size += len(block)
+            if size > _LONGEST_LINE:
+                expected = f"a line of at most {_LONGEST_LINE} bytes"
+                self._fail(expected, "a longer one", self._line)
+        self._block, self._at = b"".join(pieces), 0
+        return bool(self._block)
+
+    def _rows(
+        self, element: PlyElement, most: int, names: Sequence[str]
+    ) -> tuple[TextRows, NDArray[np.float64]]:
+        """Take rows out of the block, none where only blank lines are left in it."""
+        start = self._at
+        if element.is_fixed and len(names) == 3 and self._line_end == b"\n":
+            columns = [element.scalar_dtype.names.index(name) for name in names]  # type: ignore[union-attr]
+            x, y, z = columns
+            layout = RowLayout(len(element.properties), (x, y, z))
+            text = np.frombuffer(self._block, dtype=np.uint8)
+            rows, values, self._at, lines = parse_rows(
+                text, start, most, layout, self._path, self._line
+            )
+            self._line += lines
+        else:
+            rows, values = self._rows_one_by_one(element, most, names)
+        self.position += self._at - start
+        return rows, values
+
+    def _rows_one_by_one(
+        self, element: PlyElement, most: int, names: Sequence[str]
+    ) -> tuple[TextRows, NDArray[np.float64]]:
+        """Do the same for lists, for line ends of old Macs, and where no number is wanted."""
+        starts: list[int] = []
+        stops: list[int] = []
+        values: list[list[float]] = []
+        wanted = [element.scalar_dtype.names.index(name) for name in names]  # type: ignore[union-attr]
+        while len(starts) < most and self._at < len(self._block):
+            start = self._at
+            self._at = (self._block.find(self._line_end, start) + 1) or len(self._block)
+            words = self._block[start : self._at].split()
+            if words:
+                scalars = self._without_lists(element, words)
+                starts.append(start)
+                stops.append(self._at)
+                values.append([self._number(scalars[column]) for column in wanted])
+            self._line += 1
+        text = np.frombuffer(self._block, dtype=np.uint8)
+        rows = TextRows(text, np.array(starts, dtype=np.int64), np.array(stops, dtype=np.int64))
+        return rows, np.array(values, dtype=np.float64).reshape(len(starts), len(names))
+
+    def _without_lists(self, element: PlyElement, row: list[bytes]) -> list[bytes]:
+        """Check that a row is whole, and return its numbers outside lists."""
+        scalars = []
+        at = 0
+        for each in element.properties:
+            word = row[at] if at < len(row) else b""
+            at += 1
+            if each.count_dtype is None:
+                scalars.append(word)
+            elif len(word) < 10 and word.isdigit():
+                at += int(word)
+            else:
+                found = _show(word) if word else "the end of the line"
+                self._fail(f"the length of list {each.name!r}", found, self._line)
+        if at != len(row):
+            self._fail(f"{at} values in a row of {element.name!r}", f"{len(row)}", self._line)
+        return scalars
+
+    def _number(self, word: bytes) -> float:
+        try:
+            # float() takes 1_000, which no file format means.
+            return float(word.replace(b"_", b"?"))
+        except ValueError:
+            self._fail("a number", _show(word), self._line)
+
+    def _fail(self, expected: str, found: str, line: int) -> NoReturn:
+        raise MapFormatError(self._path, expected, found, at=f"line {line}")
+
+
+class BinaryRows(PlyRows):
+    """Records that are packed bytes."""
+
+    def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
+        self.position = header.size
+        self._file = file
+        self._path = path
+        self._size = os.fstat(file.fileno()).st_size
+        self._ahead = b""
+
+    def take(
+        self, element: PlyElement, most: int, names: Sequence[str] = ()
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Read the next records; see `PlyRows.take`."""
+        if element.is_fixed:
+            records = self._fixed(element, most)
+            scalars = records
+        else:
+            records, scalars = self._listed(element, most)
+        values = np.empty((len(records), len(names)))
+        with np.errstate(all="ignore"):
+            for column, name in enumerate(names):
+                values[:, column] = scalars[name]
+        return records, values
+
+    def skip(self, element: PlyElement, count: int | None = None) -> None:
+        """Pass over records of `element`, by their size where that is known."""
+        if not element.is_fixed:
+            super().skip(element, count)
+            return
+        count = element.count if count is None else count
+        end = self.position + count * element.least_bytes
+        if end > self._size:
+            self._end_of_file(element, end)
+        self._move(end)
+
+    def _move(self, position: int) -> None:
+        self._file.seek(position)
+        self._ahead = b""
+        self.position = position
+
+    def _fixed(self, element: PlyElement, most: int) -> NDArray[Any]:
+        self._move(self.position)
+        size = element.least_bytes
+        content = bytearray(self._file.read(most * size))
+        if len(content) != most * size:
+            self._end_of_file(element, self.position + most * size)
+        self.position += len(content)
+        return np.frombuffer(content, dtype=element.scalar_dtype)
+
+    def _listed(self, element: PlyElement, most: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Read records with lists, and the numbers outside the lists packed together."""
+        layout = _Layout.of(element)
+        found: list[bytes] = []
+        packed: list[bytes] = []
+        size = 0
+        at = 0
+        while len(found) < most and size < _MOST_BYTES:
+            record = self._measure(layout, at)
+            while record.end > len(self._ahead):
+                self._read_ahead(element, at, record.end)
+                at = 0
+                record = self._measure(layout, at)
+            content = self._ahead[at : record.end]
+            packed.extend(self._ahead[start:end] for start, end in record.scalars)
+            found.append(content)
+            size += len(content)
+            at = record.end
+        self._ahead = self._ahead[at:]
+        self.position += size
+        records = np.empty(len(found), dtype=object)
+        records[:] = found
+        if not element.scalars:
+            return records, np.empty(len(found), dtype=[])
+        return records, np.frombuffer(b"".join(packed), dtype=element.scalar_dtype)
+
+    def _measure(self, layout: "_Layout", at: int) -> "_Measure":
+        try:
+            return layout.measure(self._ahead, at)
+        except _NegativeLengthError as error:
+            place = f"byte {self._file.tell() - len(self._ahead) + at}"
+            raise MapFormatError(self._path, "the length of a list", str(error), at=place) from None
+
+    def _read_ahead(self, element: PlyElement, at: int, end: int) -> None:
+        """Drop the bytes before `at`, and read until there are those before `end`."""
+        needed = end - len(self._ahead)
+        if needed > self._size - self._file.tell():
+            self._end_of_file(element, self._file.tell() + needed)
+        self._ahead = self._ahead[at:] + self._file.read(max(needed, _BLOCK))
+
+    def _end_of_file(self, element: PlyElement, needed: int) -> NoReturn:
+        raise MapFormatError(
+            self._path,
+            f"at least {needed} bytes for {element.count} records of {element.name!r}",
+            f"a file of {self._size} bytes",
+            at=f"byte {self.position}",
+        )
+
+
+class _NegativeLengthError(ValueError):
+    """A list has a length below zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Measure:
+    """Where a record ends, and where its numbers outside lists lie.
+
+    `end` is the least it can be where the buffer ends before the record does.
+    """
+
+    end: int
+    scalars: list[tuple[int, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """The plan of a record with lists.
+
+    Attributes
+    ----------
+    lists : tuple of (int, struct.Struct, int)
+        For each list: bytes before it, the type of its length, and bytes of an item.
+    after : int
+        Bytes after the last list.
+    """
+
+    lists: tuple[tuple[int, struct.Struct, int], ...]
+    after: int
+
+    @classmethod
+    def of(cls, element: PlyElement) -> "_Layout":
+        lists = []
+        before = 0
+        for each in element.properties:
+            if each.count_dtype is None:
+                before += each.dtype.itemsize
+            else:
+                order = ">" if each.count_dtype.byteorder == ">" else "<"
+                count = struct.Struct(order + _LENGTH_TYPES[each.count_dtype.str[1:]])
+                lists.append((before, count, each.dtype.itemsize))
+                before = 0
+        return cls(tuple(lists), before)
+
+    def measure(self, buffer: bytes, start: int) -> _Measure:
+        scalars = []
+        for before, count, item in self.lists:
+            if before:
+                scalars.append((start, start + before))
+            start += before
+            if start + count.size > len(buffer):
+                return _Measure(start + count.size, scalars)
+            length = count.unpack_from(buffer, start)[0]
+            if length < 0:
+                raise _NegativeLengthError(length)
+            start += count.size + length * item
+        if self.after:
+            scalars.append((start, start + self.after))
+        return _Measure(start + self.after, scalars)
+
+
+def _show(word: bytes) -> str:
+    return repr(word[:24].decode("latin-1"))
