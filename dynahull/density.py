@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
-from dynahull.reference.hull import hull_volume
+from dynahull.reference.density import _REFERENCE_BATCH, reference_densities
 from dynahull.reference.neighbours import nearest_neighbours
 
 SMALLEST_CLUSTER = 4
@@ -17,8 +17,6 @@ SMALLEST_CLUSTER = 4
 
 SPREAD_COLUMNS = 5
 """Numbers that say how a neighbourhood is spread: see `reference_spreads`."""
-
-_REFERENCE_BATCH = 50_000
 
 
 def cluster_densities(
@@ -66,46 +64,6 @@ def cluster_densities(
         points, rows, k, threads=threads, on_progress=observer.advance, spread=spread
     )
     return found.density, found.spread
-
-
-def reference_densities(
-    points: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    k: int,
-    observer: Observer | None = None,
-    centres: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
-    """Compute k / v as published: a k-d tree query and a Quickhull for every point.
-
-    Parameters
-    ----------
-    points : (n, 3) float64 array
-        The points of the cluster, finite.
-    rows : (n,) int64 array
-        Their row numbers, distinct.
-    k : int
-        Neighbours; all points of the cluster where there are fewer.
-    observer : Observer, optional
-        Told of the points done.
-    centres : (m, 3) float64 array, optional
-        Where to measure; at the points themselves by default.
-
-    Returns
-    -------
-    (m,) float64 array
-        Points per cubic metre; infinite where the hull has no volume.
-    """
-    centres = points if centres is None else centres
-    density = np.empty(len(centres))
-    for start in range(0, len(centres), _REFERENCE_BATCH):
-        batch = centres[start : start + _REFERENCE_BATCH]
-        neighbourhoods = nearest_neighbours(points, rows, k, batch)
-        for slot, (centre, neighbours) in enumerate(zip(batch, neighbourhoods, strict=True), start):
-            volume = hull_volume(points[neighbours] - centre)
-            density[slot] = len(neighbours) / volume if volume > 0 else np.inf
-        if observer:
-            observer.advance(len(batch))
-    return density
 
 
 def reference_spreads(

@@ -13,9 +13,10 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from dynahull.algorithm import clean
 from dynahull.checking import as_array, cloud_points, remedy
 from dynahull.clustering import Clusters
-from dynahull.density import SMALLEST_CLUSTER, reference_densities
+from dynahull.density import SMALLEST_CLUSTER
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.parameters import MethodParameters
+from dynahull.reference.density import reference_densities
 
 
 class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
+from pipeline.drawing import drawing_library
 from pipeline.errors import OutputError
-from pipeline.evaluation.picture import drawing_library
 from pipeline.named_file import check_named_file
 from pipeline.outputs.folder import locked_folder
 from pipeline.plan.machine import available_cores

@@ -21,7 +21,7 @@ from pipeline.taking_part import survey_map
 from pipeline.units import open_collection
 from tiling.atomic import atomic_file
 from tiling.collection import MapCollection, find_map_files
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.occupancy import Occupancy
 from tiling.output_file import writing_only_into
 from tiling.survey import Survey

@@ -16,7 +16,7 @@ from dynahull.progress import Observer
 from dynahull.strays import Outskirts, Strays, is_at_origin
 from pipeline.configuration.run import Configuration, InputParameters
 from tiling.collection import MapCollection
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.survey import Survey, merge, survey_batches
 
 Mask = NDArray[np.bool_]

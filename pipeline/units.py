@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.configuration.run import InputParameters
 from tiling.collection import MapCollection
 from tiling.errors import CoordinateSystemError
-from tiling.formats.base import MapDescription
+from tiling.formats.points import MapDescription
 from tiling.formats.units import FOOT, METRE, US_SURVEY_FOOT
 
 _FACTORS = {"metre": METRE, "foot": FOOT, "us_survey_foot": US_SURVEY_FOOT}

@@ -75,3 +75,20 @@ def test_what_would_unpickle_is_seen():
     assert calls_that_unpickle("np.load(p, allow_pickle=False)\njson.load(p)\n") == []
     source = "def f():\n    import pickle\n    from shelve import open\n"
     assert imported_packages(source) & RUNS_WHAT_IT_READS == {"pickle", "shelve"}
+
+
+def test_nothing_imports_the_commands():
+    """What a command does lies elsewhere, for whoever uses the packages from Python."""
+    for module in sorted((ROOT / "pipeline").rglob("*.py")):
+        inside = module.relative_to(ROOT / "pipeline").as_posix()
+        if inside.startswith("commands/") or inside == "__main__.py":
+            continue
+        tree = ast.parse(module.read_text(encoding="utf-8"))
+        wrong = [
+            node.module
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.startswith("pipeline.commands")
+        ]
+        assert not wrong, f"{inside} imports {wrong}"

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from tiling.errors import NoMapError
 from tiling.formats import MAP_SUFFIXES, open_map
-from tiling.formats.base import DEFAULT_BATCH, MapReader, PointBatch, checked_rows
+from tiling.formats.base import MapReader
+from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
 
 _HASH_BLOCK = 1 << 20
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tiling.collection import MapCollection
 from tiling.durable import sync
 from tiling.errors import ChunkError
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.output_file import make_sized, write_only
 
 _COORDINATES = np.dtype((np.float64, 3))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tiling.atomic import atomic_file
 from tiling.chunk_store import Chunk, ChunkStore
 from tiling.errors import ChunkError
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.tile_sorter import TileSorter
 
 POINTS_AT_A_TIME = 1_000_000

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tiling.collection import MapCollection
 from tiling.compiled import compiled
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.occupancy import ColumnCounter, Occupancy, combined
 
 

@@ -27,6 +27,23 @@ def height_radius(parameters: GroundParameters) -> float:
     return _height_reach(parameters.slope)
 
 
+def decision_radius(parameters: GroundParameters, heights: bool) -> float:
+    """Metres within which all points lie that decide if a point is ground, and how high it is.
+
+    Infinite where there is no such distance.
+
+    Parameters
+    ----------
+    parameters : GroundParameters
+    heights : bool
+        Whether heights are asked for.
+    """
+    radius = ground_radius(parameters)
+    if radius is None:
+        return np.inf
+    return radius + (height_radius(parameters) if heights else 0.0)
+
+
 def _slope_radius(p: SlopeParameters) -> float:
     """Metres within which all points lie that decide a point's label: the windows, end to end."""
     candidate = FLAT_RADIUS * p.cell

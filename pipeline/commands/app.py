@@ -3,7 +3,6 @@
 import atexit
 import gc
 import io
-import json
 import logging
 import os
 import signal
@@ -16,24 +15,15 @@ import typer
 from pipeline.commands.cluster import cancel_command, submit_command
 from pipeline.commands.evaluate import evaluate_command
 from pipeline.commands.nightly import nightly_command
-from pipeline.commands.options import (
-    TLS,
-    ClusterName,
-    ConfigurationSource,
-    Maps,
-    Output,
-    Scheduler,
-    Settings,
-    check_encryption,
-    worker_settings,
-)
 from pipeline.commands.preview import preview_command
+from pipeline.commands.run import run_command
 from pipeline.commands.tiles import (
     clean_command,
     plan_command,
     status_command,
     tile_command,
 )
+from pipeline.commands.tools import info_command, keys_command, simulate_command, view_command
 from tiling.foreign_text import LONGEST_LINE, printable
 
 EXIT_FAILURE = 1
@@ -94,145 +84,11 @@ def common(
     """Take the options of every command."""
 
 
-@app.command("run")
-def run_command(
-    maps: Maps,
-    output: Output = None,
-    config: ConfigurationSource = None,
-    settings: Settings = None,
-    labels: Annotated[
-        bool,
-        typer.Option("--labels", help="Write label, cluster and density of every point as well."),
-    ] = False,
-    fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Start over, whatever an earlier run left half done."),
-    ] = False,
-    keep_work: Annotated[
-        bool,
-        typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
-    ] = False,
-    scheduler: Scheduler = None,
-    cluster: ClusterName = None,
-    tls: TLS = False,
-) -> None:
-    """Clean a map: write it without its ghosts, and the ghosts beside it.
-
-    A run that was interrupted goes on where it was when the same command is given again.
-    """
-    from pipeline.workers.fork_server import stay_forkable  # noqa: PLC0415
-
-    stay_forkable()
-    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
-    from pipeline.errors import ConfigurationError  # noqa: PLC0415
-    from pipeline.progress import watching  # noqa: PLC0415
-    from pipeline.run import run  # noqa: PLC0415
-
-    wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
-    wanted += ["output.keep_work=true"] if keep_work else []
-    wanted += worker_settings(scheduler, cluster, tls)
-    if output == "":
-        raise ConfigurationError("-o: expected a folder, found nothing")
-    configuration = load_configuration(config, wanted)
-    check_encryption(configuration, tls)
-    with watching() as observer:
-        report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
-    typer.echo(report.summary())
-
-
-@app.command("info")
-def info_command(
-    maps: Maps,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-) -> None:
-    """Show what a map holds: format, points, fields, bounds, CRS, non-finite points, duplicates."""
-    from pipeline.info import inspect_map  # noqa: PLC0415
-
-    info = inspect_map(maps)
-    typer.echo(json.dumps(info.model_dump(mode="json"), indent=2) if as_json else info.to_text())
-
-
-@app.command("view")
-def view_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
-    save: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.rrd", help="Write a recording to open elsewhere instead."),
-    ] = None,
-) -> None:
-    """Open a result in a window, coloured by label and by density (needs the extra `rerun`)."""
-    from pipeline.view import view_result  # noqa: PLC0415
-
-    view_result(folder, save)
-
-
-@app.command("simulate")
-def simulate_command(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the map.")
-    ] = Path("simulated"),
-    scene: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SCENE",
-            help="Of boxes: indoor (default), storeys, ramp or street. Of meshes, with Open3D: "
-            "office, lobby, warehouse, garage, corridor, stairs, park, room; street with --sensor.",
-        ),
-    ] = None,
-    sensor: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SENSOR",
-            help="Of scenes of meshes: vlp16 (default), ring32, ring64, os64 or mid360.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(help="Seed of plan, people, noise and drift; 0 if not given."),
-    ] = None,
-    points: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Points of the map, exactly; more blocks of scene are added as needed.",
-        ),
-    ] = None,
-    map_only: Annotated[
-        bool | None,
-        typer.Option(
-            "--map-only/--all",
-            help="Leave out the scans, the static truth and the low-activity map. "
-            "All is the default, and the map only with --points.",
-            show_default=False,
-        ),
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="One parameter, such as walkers=20."),
-    ] = None,
-) -> None:
-    """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
-    from pipeline.progress import watching  # noqa: PLC0415
-    from pipeline.simulation import load_simulation, write_simulation  # noqa: PLC0415
-
-    given = {"scene": scene, "sensor": sensor, "seed": seed, "points": points}
-    options = [f"{name}={value}" for name, value in given.items() if value is not None]
-    parameters = load_simulation([*(settings or []), *options])
-    map_only = parameters.points is not None if map_only is None else map_only
-    with watching() as observer:
-        observer.stage("simulate", parameters.expected_points)
-        files = write_simulation(parameters, output, map_only=map_only, advance=observer.advance)
-    typer.echo(f"written: {files.map} and its truth beside it")
-
-
-@app.command("keys")
-def keys_command() -> None:
-    """Show every key of the configuration: its meaning, unit, default, and what is allowed."""
-    from pipeline.configuration.page import configuration_page  # noqa: PLC0415
-
-    typer.echo(configuration_page(), nl=False)
-
-
+app.command("run")(run_command)
+app.command("info")(info_command)
+app.command("view")(view_command)
+app.command("simulate")(simulate_command)
+app.command("keys")(keys_command)
 app.command("plan")(plan_command)
 app.command("tile")(tile_command)
 app.command("status")(status_command)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.row_values import RowValues
 from tiling.collection import MapCollection
-from tiling.formats.base import DEFAULT_BATCH
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.field_values import field_values
+from tiling.formats.points import DEFAULT_BATCH
 from tiling.parquet_file import open_parquet
 
 MOVING_COLUMN = "moving"

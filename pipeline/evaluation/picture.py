@@ -5,13 +5,13 @@ Points are counted in pixels, tile by tile: memory does not grow with the map.
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.progress import Observer
-from pipeline.errors import EvaluationError, MissingPackageError, OutputError
+from pipeline.drawing import drawing_library
+from pipeline.errors import EvaluationError, OutputError
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.tiled_cloud import TiledCloud
 from tiling.atomic import atomic_file
@@ -28,24 +28,6 @@ COLOURS = {
 """In the order of `decision_counts`."""
 
 _BACKGROUND = (1.0, 1.0, 1.0)
-
-
-def drawing_library() -> Any:
-    """Import Matplotlib.
-
-    Raises
-    ------
-    MissingPackageError
-        When it is not installed.
-    """
-    try:
-        import matplotlib as mpl  # noqa: PLC0415 (optional, and seconds of import time)
-        import matplotlib.figure  # noqa: PLC0415
-    except (ImportError, OSError, RuntimeError) as error:
-        raise MissingPackageError(
-            f"--picture needs Matplotlib: pip install 'dynahull-pipeline[plot]' ({error})"
-        ) from error
-    return mpl
 
 
 def decision_counts(

@@ -22,7 +22,7 @@ from pipeline.errors import EvaluationError
 from pipeline.evaluation.labels import Labels, Truth
 from pipeline.evaluation.row_values import RowReader, RowValues
 from tiling.collection import MapCollection
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.layout import Layout, quadtree
 from tiling.survey import merge, survey_batches
 

@@ -16,8 +16,8 @@ from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
 from pipeline.outputs.modes import DENSITY, LABEL, own_names
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
-from tiling.formats.base import DEFAULT_BATCH
 from tiling.formats.field_values import field_values
+from tiling.formats.points import DEFAULT_BATCH
 from tiling.parquet_file import open_parquet
 
 Points = NDArray[np.float64]

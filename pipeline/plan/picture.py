@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluation.picture import drawing_library
+from pipeline.drawing import drawing_library
 from pipeline.plan.plan import Plan
 from tiling.atomic import atomic_file
 from tiling.occupancy import Occupancy

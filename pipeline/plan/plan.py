@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.ground.reach import ground_radius, height_radius
+from dynahull.ground.reach import decision_radius, ground_radius
 from pipeline.configuration.quantities import in_time, in_units
 from pipeline.configuration.run import Configuration
 from pipeline.errors import PlanError
@@ -108,19 +108,6 @@ class Plan:
         )
 
 
-def decision_radius(configuration: Configuration) -> float:
-    """Return the metres within which all points lie that decide if a point is ground or above.
-
-    Infinite where there is no such distance.
-    """
-    radius = ground_radius(configuration.ground)
-    if radius is None:
-        return np.inf
-    if configuration.needs_heights:
-        radius += height_radius(configuration.ground)
-    return radius
-
-
 def make_plan(
     collection: MapCollection, survey: Survey, configuration: Configuration, workers: int
 ) -> Plan:
@@ -141,7 +128,11 @@ def make_plan(
         When a lattice column alone holds more points than a worker has memory for.
     """
     # A ground step that looks at the map as a whole does not look at tiles at all.
-    radius = 0.0 if ground_radius(configuration.ground) is None else decision_radius(configuration)
+    radius = (
+        0.0
+        if ground_radius(configuration.ground) is None
+        else decision_radius(configuration.ground, configuration.needs_heights)
+    )
     halo = configuration.tiling.halo
     if halo == "auto":
         halo = radius + neighbour_reach(survey.occupancy, configuration.neighbours.k)

@@ -13,15 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters
-from dynahull.density import (
-    SMALLEST_CLUSTER,
-    SPREAD_COLUMNS,
-    reference_densities,
-    reference_spreads,
-)
+from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, reference_spreads
 from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
+from dynahull.reference.density import reference_densities
 from pipeline.tiles.nearest import FreePoints, NearestSoFar
 from pipeline.tiles.vicinity import Vicinity
 

@@ -9,7 +9,7 @@ from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
 from pipeline.work.rows import write_rows
 from tiling.chunks import assemble, has_chunk
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.output_file import make_sized
 from tiling.pieces import write_pieces
 from tiling.survey import survey_batches

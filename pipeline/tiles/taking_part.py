@@ -20,7 +20,7 @@ from pipeline.taking_part import hidden, may_leave_out, warn_of_left_out
 from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.work.job import Job
 from pipeline.work.rows import open_rows, write_rows
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.output_file import make_sized
 
 SET_ASIDE_FILE = "set_aside.json"

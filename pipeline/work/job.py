@@ -8,8 +8,8 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 from dynahull.clustering import Clusters
+from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
-from pipeline.plan.plan import decision_radius
 from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.units import open_collection
 from pipeline.work.array_file import read_arrays
@@ -109,7 +109,7 @@ class Job:
     @cached_property
     def decision_radius(self) -> float:
         """Metres within which all points lie that decide whether a point is free of the ground."""
-        return decision_radius(self.configuration)
+        return decision_radius(self.configuration.ground, self.configuration.needs_heights)
 
     @cached_property
     def clusters(self) -> Clusters:

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dynahull.density import reference_densities
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels import hull_densities, nearest_rows, squared_reaches
+from dynahull.reference.density import reference_densities
 from dynahull.reference.neighbours import nearest_neighbours
 
 Points = NDArray[np.float64]

@@ -12,7 +12,7 @@ from pipeline.preview import PART_FOLDER, SMALLEST_SIDE, WHOLE, Window, preview,
 from pipeline.progress import LogDisplay, StageObserver
 from tiling.collection import MapCollection
 from tiling.formats import open_map
-from tiling.formats.base import PointBatch
+from tiling.formats.points import PointBatch
 from tiling.survey import survey_batches
 
 FAST = ("ground.method=none", "clustering.count=2", "neighbours.k=10")

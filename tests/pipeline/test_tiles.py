@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynahull import Label, clean
+from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import load_configuration
 from pipeline.places import DecisionSums
-from pipeline.plan.plan import decision_radius
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import scores

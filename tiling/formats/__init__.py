@@ -8,7 +8,8 @@ from importlib import import_module
 from pathlib import Path
 
 from tiling.errors import MapFormatError, UnknownFormatError
-from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
+from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.points import Field, MapDescription, PointBatch
 
 __all__ = [
     "MAP_SUFFIXES",

@@ -7,8 +7,7 @@ output bit for bit.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -16,143 +15,16 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.errors import PartsError, PointCountError, RowRangeError
-from tiling.foreign_text import LONGEST_MESSAGE, printable
-from tiling.formats.units import Units
-from tiling.grid import Grid
+from tiling.errors import PartsError, PointCountError
+from tiling.formats.points import DEFAULT_BATCH, Field, MapDescription, PointBatch, checked_rows
 
 if TYPE_CHECKING:
     from tiling.formats.extension import ExtendedFormat
     from tiling.formats.parts import PartWriter
 
-DEFAULT_BATCH = 500_000
-"""Points in a batch when the caller does not say."""
 
 LARGEST_BATCH = 1 << 26
 """Bytes of records in a batch, however many points the caller allows."""
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One field of every point.
-
-    Attributes
-    ----------
-    name : str
-        As the file names it.
-    dtype : str
-        NumPy's name of the type, such as `"float32"`; for a field with no such type, the file's.
-    count : int
-        Values per point.
-    """
-
-    name: str
-    dtype: str
-    count: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class MapDescription:
-    """What a map file says of itself, before any point is read.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    format : str
-        Kind and variant for people, such as `"PCD binary_compressed"` or
-        `"LAZ 1.4, point format 6"`.
-    suffix : str
-        File name suffix of a map written like this one, with the dot (`".laz"` for COPC).
-    point_count : int
-        Points in the file.
-    fields : tuple of Field
-        Every field, in the file's order.
-    crs : str or None
-        The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
-    units : Units or None
-        What the coordinates are measured in, where the file says it.
-    has_classification : bool
-        Whether the batches carry ASPRS classes.
-    largest_class : int
-        The largest class that a point can have, where they have classes.
-    grid : Grid or None
-        The grid that all coordinates are on (LAS).
-    notes : tuple of str
-        What an output of this kind cannot carry over, one plain sentence each.
-    """
-
-    path: Path
-    format: str
-    suffix: str
-    point_count: int
-    fields: tuple[Field, ...]
-    crs: str | None = None
-    units: Units | None = None
-    has_classification: bool = False
-    largest_class: int = 255
-    grid: Grid | None = None
-    notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Make what is shown to people, and comes from the file, fit for it."""
-        object.__setattr__(self, "format", printable(self.format))
-        object.__setattr__(
-            self, "notes", tuple(printable(note, LONGEST_MESSAGE) for note in self.notes)
-        )
-        if self.crs is not None:
-            object.__setattr__(self, "crs", printable(self.crs))
-
-
-@dataclass(frozen=True, slots=True)
-class PointBatch:
-    """Some consecutive points of a map.
-
-    Attributes
-    ----------
-    first_row : int
-        Row number, in the file, of the first point.
-    xyz : (n, 3) float64 array
-        Coordinates, in the map's units; NaN or infinite where the file has none.
-    records : opaque
-        The points as the format stores them, usually an array: to be selected by `select` and
-        given to a writer made by the same reader.
-    classification : (n,) uint8 array or None
-        ASPRS classes (LAS), where the format has them.
-    withheld : (n,) bool array or None
-        Points that are marked as deleted (LAS), where the format has such a mark.
-    """
-
-    first_row: int
-    xyz: NDArray[np.float64]
-    records: Any
-    classification: NDArray[np.uint8] | None = None
-    withheld: NDArray[np.bool_] | None = None
-
-    def select(self, chosen: NDArray[np.bool_]) -> Any:
-        """Return the records of the points where `chosen` is true, in order."""
-        if isinstance(self.records, np.ndarray):
-            # Several times as fast as indexing where a record is a row of bytes.
-            return self.records.compress(chosen, axis=0)
-        return self.records[chosen]
-
-    def within(self, rows: range) -> Self | None:
-        """Return the part of the batch whose row numbers lie in a range, None if there is none."""
-        start = max(rows.start - self.first_row, 0)
-        stop = min(rows.stop - self.first_row, len(self.xyz))
-        if start >= stop:
-            return None
-        if (start, stop) == (0, len(self.xyz)):
-            return self
-        part = slice(start, stop)
-        return replace(
-            self,
-            first_row=self.first_row + start,
-            xyz=self.xyz[part],
-            records=self.records[part],
-            classification=None if self.classification is None else self.classification[part],
-            withheld=None if self.withheld is None else self.withheld[part],
-        )
 
 
 class MapWriter(ABC):
@@ -314,28 +186,3 @@ class MapReader(ABC):
             When the format has no place for a point before those before it are written.
         """
         raise PartsError(self.description.path, self.description.format)
-
-
-def checked_rows(name: str, rows: range | None, point_count: int) -> range:
-    """Return consecutive rows that a map has: those given, or all.
-
-    Raises
-    ------
-    RowRangeError
-        When the map has no such rows.
-    """
-    if rows is None:
-        return range(point_count)
-    if rows.step != 1 or not 0 <= rows.start <= rows.stop <= point_count:
-        raise RowRangeError(name, rows, point_count)
-    return rows
-
-
-def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch]:
-    """Take a range of rows out of consecutive batches, and ask for none after its end."""
-    for batch in batches:
-        part = batch.within(rows)
-        if part is not None:
-            yield part
-        if batch.first_row + len(batch.xyz) >= rows.stop:
-            return

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.base import Field, MapReader, MapWriter, PointBatch
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.parts import PartWriter
+from tiling.formats.points import Field, PointBatch
 
 if TYPE_CHECKING:
     from tiling.formats.text_rows import TextRows  # compiled: takes long to import

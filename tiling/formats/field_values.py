@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
-from tiling.formats.base import DEFAULT_BATCH, MapReader
+from tiling.formats.base import MapReader
+from tiling.formats.points import DEFAULT_BATCH
 from tiling.parquet_file import open_parquet
 
 

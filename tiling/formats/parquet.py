@@ -16,18 +16,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import (
-    LARGEST_BATCH,
-    Field,
-    MapDescription,
-    MapReader,
-    MapWriter,
-    PointBatch,
-    only_rows,
-)
+from tiling.formats.base import LARGEST_BATCH, MapReader, MapWriter
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat
 from tiling.formats.parquet_sizes import check_sizes
+from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 from tiling.parquet_file import open_parquet

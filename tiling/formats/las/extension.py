@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import Field, MapReader, PointBatch
+from tiling.formats.base import MapReader
 from tiling.formats.extension import ExtendedFormat, bytes_of, packed
 from tiling.formats.las.extra_bytes import RECORD_ID, USER_ID, extended_descriptors
 from tiling.formats.las.header import (
@@ -21,6 +21,7 @@ from tiling.formats.las.header import (
     read_vlrs,
 )
 from tiling.formats.las.laz_header import is_laszip_record, own_compression
+from tiling.formats.points import Field, PointBatch
 
 LAST_SHORT_CLASS = 31
 """Until point format 5, a class has five bits."""

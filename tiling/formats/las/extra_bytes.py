@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tiling.formats.base import Field
 from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
+from tiling.formats.points import Field
 
 USER_ID, RECORD_ID = "LASF_Spec", 4
 """The VLR of extra bytes."""

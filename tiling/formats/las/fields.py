@@ -4,7 +4,7 @@ Written down here, and compared with laspy in a test: to ask laspy means to impo
 needs for geodesy and for the network, before a run knows how large its map is.
 """
 
-from tiling.formats.base import Field
+from tiling.formats.points import Field
 
 _FIRST = "X:int32 Y:int32 Z:int32 intensity:uint16 return_number number_of_returns"
 _SHORT = (

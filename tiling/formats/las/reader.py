@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import Field, MapDescription, MapReader, MapWriter, PointBatch
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
 from tiling.formats.las.extra_bytes import extra_fields
@@ -44,6 +44,7 @@ from tiling.formats.las.surroundings import is_copc_index
 from tiling.formats.las.writer import LasPartWriter
 from tiling.formats.las_leftover import check_behind_points
 from tiling.formats.parts import PartWriter, SinglePartWriter
+from tiling.formats.points import Field, MapDescription, PointBatch
 from tiling.grid import Grid, integers_in_records
 
 

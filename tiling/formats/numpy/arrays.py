@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import Field
 from tiling.formats.coordinates import coordinate_names
+from tiling.formats.points import Field
 from tiling.formats.signature import kind_of
 
 _MAGIC = b"\x93NUMPY"

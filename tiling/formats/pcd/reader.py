@@ -23,20 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import (
-    Field,
-    MapDescription,
-    MapReader,
-    MapWriter,
-    PointBatch,
-    only_rows,
-)
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
 from tiling.formats.pcd import lzf
 from tiling.formats.pcd.column_spool import ColumnSpool
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
+from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.text_rows import RowLayout, read_rows
 from tiling.output_file import create_file
 

@@ -1,0 +1,100 @@
+"""Looking at maps and results, making maps, and the keys of the configuration."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.commands.options import (
+    Maps,
+)
+
+
+def info_command(
+    maps: Maps,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show what a map holds: format, points, fields, bounds, CRS, non-finite points, duplicates."""
+    from pipeline.info import inspect_map  # noqa: PLC0415
+
+    info = inspect_map(maps)
+    typer.echo(json.dumps(info.model_dump(mode="json"), indent=2) if as_json else info.to_text())
+
+
+def view_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Write a recording to open elsewhere instead."),
+    ] = None,
+) -> None:
+    """Open a result in a window, coloured by label and by density (needs the extra `rerun`)."""
+    from pipeline.view import view_result  # noqa: PLC0415
+
+    view_result(folder, save)
+
+
+def simulate_command(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the map.")
+    ] = Path("simulated"),
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE",
+            help="Of boxes: indoor (default), storeys, ramp or street. Of meshes, with Open3D: "
+            "office, lobby, warehouse, garage, corridor, stairs, park, room; street with --sensor.",
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SENSOR",
+            help="Of scenes of meshes: vlp16 (default), ring32, ring64, os64 or mid360.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Seed of plan, people, noise and drift; 0 if not given."),
+    ] = None,
+    points: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Points of the map, exactly; more blocks of scene are added as needed.",
+        ),
+    ] = None,
+    map_only: Annotated[
+        bool | None,
+        typer.Option(
+            "--map-only/--all",
+            help="Leave out the scans, the static truth and the low-activity map. "
+            "All is the default, and the map only with --points.",
+            show_default=False,
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One parameter, such as walkers=20."),
+    ] = None,
+) -> None:
+    """Make a map with ghosts in it, and the truth about it: a robot drives among people."""
+    from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.simulation import load_simulation, write_simulation  # noqa: PLC0415
+
+    given = {"scene": scene, "sensor": sensor, "seed": seed, "points": points}
+    options = [f"{name}={value}" for name, value in given.items() if value is not None]
+    parameters = load_simulation([*(settings or []), *options])
+    map_only = parameters.points is not None if map_only is None else map_only
+    with watching() as observer:
+        observer.stage("simulate", parameters.expected_points)
+        files = write_simulation(parameters, output, map_only=map_only, advance=observer.advance)
+    typer.echo(f"written: {files.map} and its truth beside it")
+
+
+def keys_command() -> None:
+    """Show every key of the configuration: its meaning, unit, default, and what is allowed."""
+    from pipeline.configuration.page import configuration_page  # noqa: PLC0415
+
+    typer.echo(configuration_page(), nl=False)
