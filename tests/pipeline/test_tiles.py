@@ -165,7 +165,8 @@ def room_file(tmp_path):
 
 def test_a_halo_narrower_than_the_ground_looks_is_made_up_for(room_file, tmp_path):
     wanted = ["max_height=1.2", *SMALL_GROUND]
-    assert decision_radius(load_configuration(None, wanted)) > 1
+    configuration = load_configuration(None, wanted)
+    assert decision_radius(configuration.ground, configuration.needs_heights) > 1
     result = in_memory([room_file], *wanted)
     assert (result.labels == Label.GROUND).sum() > 100  # what a border could hide is there
     for halo in ("0", "0.5"):
