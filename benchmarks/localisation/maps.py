@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 TRUE, NOT_CLEANED, PERFECT = "true map", "not cleaned", "cleaned perfectly"
 
-CLEANED_WITH = ("paper", "indoor")
+CLEANED_WITH = ("paper", "indoor", "auto")
 """Ready configurations."""
 
 SLIP, TURN_ERROR = 0.05, 0.05

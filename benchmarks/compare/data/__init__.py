@@ -13,9 +13,10 @@ from benchmarks.compare.data.recorded import (
     standing_street_scene,
     street_scene,
 )
-from benchmarks.compare.data.simulated import simulated_scene
+from benchmarks.compare.data.simulated import mesh_scene, simulated_scene
 from benchmarks.compare.scene import Scene
 from pipeline.simulation import SceneKind
+from pipeline.simulation.meshes.parameters import MeshSceneKind, SensorKind
 
 __all__ = ["SCENES", "scene_makers"]
 
@@ -31,7 +32,16 @@ RECORDED: dict[str, Callable[[Path], Scene]] = {
         for sequence in ("00", "02", "04", "06", "08", "10")
     },
 }
-SCENES = ("crossing", *(f"{_SIMULATED}{kind.value}" for kind in SceneKind), *RECORDED)
+MESHES = {
+    f"mesh-{kind.value}-{sensor.value}": (kind, sensor)
+    for kind, sensor in (
+        (MeshSceneKind.OFFICE, SensorKind.VLP16),
+        (MeshSceneKind.LOBBY, SensorKind.MID360),
+        (MeshSceneKind.WAREHOUSE, SensorKind.RING64),
+        (MeshSceneKind.GARAGE, SensorKind.VLP16),
+    )
+}
+SCENES = ("crossing", *(f"{_SIMULATED}{kind.value}" for kind in SceneKind), *MESHES, *RECORDED)
 """Names that the command line takes."""
 
 
@@ -57,6 +67,8 @@ def scene_makers(
             if name.startswith(_SIMULATED):
                 kind = SceneKind(name.removeprefix(_SIMULATED))
                 makers.append(partial(simulated_scene, kind, seed, settings))
+            elif name in MESHES:
+                makers.append(partial(mesh_scene, *MESHES[name], seed))
             elif round_number == 0:
                 recorded = RECORDED.get(name)
                 makers.append(partial(recorded, maps) if recorded else crossing_scene)
