@@ -27,7 +27,7 @@ COMMAND = [
     sys.executable,
     "-P",
     "-c",
-    "from pipeline.commands.app import leave_at_once; leave_at_once()",
+    "from pipeline.commands.app import main; main()",
     "run",
 ]
 RESULTS = ("static.pcd", "dynamic.pcd", "labels.parquet")

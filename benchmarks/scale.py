@@ -23,7 +23,7 @@ COMMAND = [
     sys.executable,
     "-P",
     "-c",
-    "from pipeline.commands.app import leave_at_once; leave_at_once()",
+    "from pipeline.commands.app import main; main()",
 ]
 _EVERY = 0.1
 

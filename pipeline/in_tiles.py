@@ -19,7 +19,6 @@ from pipeline.tiles.sampling import gather_sample, tile_work
 from pipeline.tiles.writing import BATCH, kept_scores
 from pipeline.work.job import Job
 from pipeline.work.rows import open_rows
-from pipeline.workers.fitting import Fit
 from pipeline.write_results import write_maps
 from tiling.collection import MapCollection
 from tiling.formats import PointBatch
@@ -31,7 +30,6 @@ def clean_in_tiles(
     names: OutputNames,
     staging: Path,
     observer: StageObserver,
-    fit: Fit,
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
     observer.finish()  # workers may be long in coming
@@ -41,7 +39,6 @@ def clean_in_tiles(
             executor,
             observer,
             lambda plan: check_plan(plan, job.configuration, job.root),
-            fit,
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
         decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None

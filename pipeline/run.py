@@ -9,10 +9,8 @@ this machine are needed, who have it from this process, or from one that imports
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 
-from dynahull.clustering import fit_clusters
 from dynahull.errors import MissingClassificationError
 from pipeline.cluster.choice import prepare_workers
 from pipeline.configuration.run import Configuration
@@ -37,7 +35,6 @@ from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work
 from pipeline.work.map_state import unchanged
-from pipeline.workers.fitting import fitting
 from tiling.collection import MapCollection, content_hash, find_map_files
 
 
@@ -96,7 +93,6 @@ def run(
     with (
         output_folder(folder, results, paths) as staging,
         unchanged(paths) as state,
-        nullcontext(fit_clusters) if one_tile else fitting(configuration) as fit,
     ):
         if one_tile:
             size = output_size(collection, configuration)
@@ -118,7 +114,7 @@ def run(
             from pipeline.work.opening import open_job  # noqa: PLC0415
 
             job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
-            cleaned = clean_in_tiles(job, collection, names, staging, observer, fit)
+            cleaned = clean_in_tiles(job, collection, names, staging, observer)
         if configuration.output.labels:
             from pipeline.outputs.labels_table import write_labels  # noqa: PLC0415
 

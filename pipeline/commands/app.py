@@ -1,7 +1,5 @@
 """The command line. Heavy imports live inside the commands, so that `--help` answers at once."""
 
-import atexit
-import gc
 import io
 import logging
 import os
@@ -31,9 +29,6 @@ EXIT_USAGE = 2
 EXIT_BAD_INPUT = 3
 EXIT_INTERRUPTED = 130
 EXIT_NOT_READ = 141
-
-_OBJECTS_BEFORE_COLLECTION = 50_000
-"""New objects after which Python looks for garbage among them; it does so after 700 by default."""
 
 logger = logging.getLogger("dynahull")
 
@@ -153,24 +148,6 @@ def _open_streams() -> None:
             setattr(sys, name, stream)
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-def leave_at_once() -> NoReturn:
-    """Run the command line in a process of its own.
-
-    Python takes half a second to take itself down with all libraries loaded; the system takes none.
-    What libraries have to do at the end, such as to remove their temporary files, they do.
-    """
-    # Imports make many objects and no garbage; to look for it takes a tenth of their time.
-    gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
-    try:
-        main()
-    except SystemExit as ended:
-        sys.stdout.flush()
-        if isinstance(ended.code, int):
-            atexit._run_exitfuncs()
-            os._exit(ended.code)
-        raise
 
 
 def _expected_exit_code(error: Exception) -> int | None:

@@ -43,9 +43,6 @@ def run_command(
 
     A run that was interrupted goes on where it was when the same command is given again.
     """
-    from pipeline.workers.fork_server import stay_forkable  # noqa: PLC0415
-
-    stay_forkable()
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415

@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.clustering import Clusters, sample_rows
+from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
@@ -36,7 +36,6 @@ from pipeline.work.folder import TaskReport, remove_work
 from pipeline.work.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
 from pipeline.work.row_results import RowResults
 from pipeline.workers.executors import Executor
-from pipeline.workers.fitting import Fit, import_meanwhile
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
 from tiling.common_grid import grid_of
@@ -70,7 +69,6 @@ def clean_tiles(
     executor: Executor,
     observer: StageObserver,
     check: Callable[[Plan], None],
-    fit: Fit,
 ) -> TiledResult:
     """Label every point of a map that is cut into tiles.
 
@@ -81,10 +79,7 @@ def clean_tiles(
     observer : StageObserver
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
-    fit : callable
-        Fits the clusters of the map.
     """
-    import_meanwhile(fit)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     place = job.store.layout.typical_place()
     for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
@@ -97,7 +92,7 @@ def clean_tiles(
     warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
     with ThreadPoolExecutor(1) as thread:
         thread.submit(remove_pieces, job)  # one core has time for it
-        find_clusters(job, observer, fit)
+        find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
         reports = do_stage(job, executor, observer, "evidence", tiles)
@@ -176,13 +171,13 @@ def remove_pieces(job: Job) -> None:
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
 
 
-def find_clusters(job: Job, observer: StageObserver, fit: Fit) -> None:
+def find_clusters(job: Job, observer: StageObserver) -> None:
     """Fit the model of the map on the sample gathered from all tiles."""
     if job.configuration.clustering.scope == "tile" or job.work.has_done(FITTING):
         return
     centroids = _scored_by(job)
     if centroids is None:
-        centroids = _fitted(job, observer, fit).centroids
+        centroids = _fitted(job, observer).centroids
     with noting() as written, atomic_file(job.root / CLUSTERS_FILE) as temporary:
         write_arrays(temporary, {"centroids": centroids})
     job.work.finish_step(FITTING, written)
@@ -196,7 +191,7 @@ def _scored_by(job: Job) -> NDArray[np.float64] | None:
     return None
 
 
-def _fitted(job: Job, observer: StageObserver, fit: Fit) -> Clusters:
+def _fitted(job: Job, observer: StageObserver) -> Clusters:
     parameters = job.configuration.clustering
     tiles = range(len(job.store.layout))
     observer.stage("clustering", len(tiles))
@@ -208,7 +203,7 @@ def _fitted(job: Job, observer: StageObserver, fit: Fit) -> Clusters:
         chosen = sample_rows(rows, job.finite_count, parameters)
         xyz, rows = xyz[chosen], rows[chosen]
         observer.advance(1)
-    return fit(xyz, parameters)
+    return fit_clusters(xyz, parameters)
 
 
 def _whole_survey(

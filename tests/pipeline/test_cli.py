@@ -14,7 +14,7 @@ from time import monotonic
 import numpy as np
 import pytest
 
-COMMAND = [sys.executable, "-c", "from pipeline.commands.app import leave_at_once; leave_at_once()"]
+COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()"]
 
 
 def call(*arguments, **options):

@@ -30,7 +30,7 @@ from tiling.ledger import noting
 COMMAND = [
     sys.executable,
     "-c",
-    "from pipeline.commands.app import leave_at_once; leave_at_once()",
+    "from pipeline.commands.app import main; main()",
     "run",
 ]
 SETTINGS = [

@@ -30,7 +30,7 @@ from tiling.errors import MapFormatError
 COMMAND = [
     sys.executable,
     "-c",
-    "from pipeline.commands.app import leave_at_once; leave_at_once()",
+    "from pipeline.commands.app import main; main()",
     "evaluate",
 ]
 NO_TRANSPORT = EvaluationOptions(emd_points=0)

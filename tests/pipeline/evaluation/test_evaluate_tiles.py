@@ -154,7 +154,7 @@ def test_memory_does_not_grow_with_the_map(tmp_path):
         script = (
             "from pipeline.evaluation import tiled_cloud\n"
             "tiled_cloud.TILE_POINTS, tiled_cloud.BATCH = 60_000, 30_000\n"
-            "from pipeline.commands.app import leave_at_once; leave_at_once()"
+            "from pipeline.commands.app import main; main()"
         )
         files = {name: str(tmp_path / name) for name in ("cleaned.npy", "map.npy", "all.json")}
         command = [
