@@ -26,7 +26,7 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings
-from dynahull.evidence.terms import TERMS, evidence
+from dynahull.evidence.terms import FALLING, RISING, TERMS, evidence
 from dynahull.kernels import hull_densities
 
 K = 12
@@ -143,6 +143,17 @@ def test_nothing_beyond_the_reach_decides():
     assert len(near) < len(voxels)
     alone = evidence(one, K, Surroundings.of(near))
     assert alone.tobytes() == evidence(one, K, Surroundings.of(voxels)).tobytes()
+
+
+@pytest.mark.parametrize(("names", "sign"), [(RISING, 1), (FALLING, -1)])
+def test_the_model_keeps_to_what_physics_says(names, sign):
+    """What is less flat is never less likely a ghost; what is denser or higher never more."""
+    terms = np.random.default_rng(0).normal(size=(300, len(TERMS))).astype(np.float32)
+    for name in names:
+        low, high = terms.copy(), terms.copy()
+        low[:, TERMS.index(name)], high[:, TERMS.index(name)] = -2.0, 2.0
+        first = evidence_model().first
+        assert (sign * (first.log_odds(high) - first.log_odds(low)) >= -1e-4).all()
 
 
 def test_pooled_odds_are_means_over_boxes():
