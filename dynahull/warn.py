@@ -30,6 +30,9 @@ _LOWEST, _HIGHEST, _BINS_EACH = -40, 60, 8
 _PEAK, _POPULATION = 1.2, 0.005
 """A second population has a peak so much above the valley, and such a share of the points."""
 
+_FEWEST_SCORED = 10_000
+"""Points; the densities of fewer are too ragged to show populations."""
+
 _FEWEST_COMPARED = 3
 """Clusters; of fewer, the median says nothing."""
 
@@ -143,7 +146,7 @@ def warn_of_densities(levels: NDArray[np.int64], observer: Observer) -> None:
         See `density_levels`.
     observer : Observer
     """
-    if levels.any() and not has_sparse_population(levels):
+    if levels.sum() >= _FEWEST_SCORED and not has_sparse_population(levels):
         observer.warn(
             "the densities show no second, sparser population: Eq. 1 takes its share of each "
             "cluster, whether or not anything moved; -c auto takes what the evidence says"

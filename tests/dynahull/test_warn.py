@@ -122,8 +122,9 @@ def test_a_second_population_of_hardly_any_points_counts_for_nothing():
     assert said_of_densities(populations((50_000, 12), (50, 3)))
 
 
-def test_no_density_is_no_population():
-    assert said_of_densities(np.array([np.nan, np.inf])) == []
+@pytest.mark.parametrize("density", [np.array([np.nan, np.inf]), populations((9_999, 12))])
+def test_few_densities_say_nothing(density):
+    assert said_of_densities(density) == []
 
 
 def test_counts_of_parts_add_up():

@@ -60,7 +60,8 @@ def test_tiles_warn_as_one_tile_does(tmp_path, decision, ground):
 
 
 @pytest.mark.parametrize("groups", [(), (TINY,)], ids=["one population", "two"])
-def test_densities_are_counted_over_tiles(tmp_path, groups):
+def test_densities_are_counted_over_tiles(tmp_path, groups, monkeypatch):
+    monkeypatch.setattr("dynahull.warn._FEWEST_SCORED", 1_000)
     source = las_map(tmp_path / "map.las", 200, groups)
     one, many = (
         warnings_of(source, tmp_path / folder, tiles)
