@@ -118,7 +118,7 @@ def save_scores(
     kept: dict[str, NDArray[Any]] = {name: getattr(scored, name) for name in _BY_ROW}
     kept[_ORDERED] = np.concatenate([np.empty(0), *ordered])
     kept[_STARTS] = np.cumsum([0, *map(len, ordered)])
-    job.work.save("density", tile, centroids=centroids, **kept, **more)
+    job.work.save("density", tile, **more, centroids=centroids, **kept)
 
 
 def scored_points(job: Job, tile: int) -> ScoredPoints:
