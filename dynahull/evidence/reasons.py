@@ -24,8 +24,8 @@ REASONS: dict[str, tuple[str, ...]] = {
 NO_REASON = 255
 """Of a point whose own terms do not speak for a ghost."""
 
-CANDIDATE = -2.0
-"""Logarithm of odds; reasons are looked for from here on."""
+CANDIDATE = -1.0
+"""Logarithm of odds; reasons are looked for from here on: to look for more takes time."""
 
 
 def _reason_of(term: str) -> int:
