@@ -32,6 +32,7 @@ from dynahull.warn import (
     warn_of_clusters,
     warn_of_densities,
     warn_of_ground,
+    warn_of_much_removed,
     warn_of_sparse_map,
     wide_neighbourhoods,
 )
@@ -142,6 +143,9 @@ def clean(
             remove_least_dense(density[members], members, percentage, parameters.removal.threshold)
             for members, percentage in zip(membership, percentages, strict=True)
         ]
+    summaries = _summaries(clusters, membership, percentages, removals)
+    if parameters.removal.weighs_evidence:
+        warn_of_much_removed(summaries, observer)
     return CleaningResult(
         labels=_merged_labels(labels, aside, membership, removals),
         density=density,
@@ -150,7 +154,7 @@ def clean(
         cluster=_scattered(
             np.full(len(coordinates), NO_CLUSTER, np.int32), membership, range(len(membership))
         ),
-        clusters=_summaries(clusters, membership, percentages, removals),
+        clusters=summaries,
     )
 
 

@@ -14,6 +14,7 @@ from dynahull.evidence.summaries import logarithms
 from dynahull.parameters import MethodParameters, RemovalParameters
 from dynahull.progress import Observer
 from dynahull.rescale import removal_percentages, smallest_counted
+from dynahull.result import ClusterSummary
 
 LITTLE_GROUND = 0.02
 """Share of the points; where people and robots move, a floor is more than that."""
@@ -29,6 +30,9 @@ _LOWEST, _HIGHEST, _BINS_EACH = -40, 60, 8
 
 _PEAK, _POPULATION = 1.2, 0.005
 """A second population has a peak so much above the valley, and such a share of the points."""
+
+MUCH = 1 / 3
+"""Of the scored points; people and vehicles hardly ever leave so much in a map."""
 
 _FEWEST_SCORED = 10_000
 """Points; the densities of fewer are too ragged to show populations."""
@@ -172,4 +176,16 @@ def warn_of_sparse_map(wide: int, scored: int, observer: Observer) -> None:
             "the map is sparse, or was downsampled: the neighbours of most points reach as wide "
             "as a person, and what moved is hard to tell; decide on the map as it was recorded, "
             "before voxel filters, or ask for a higher removal.confidence"
+        )
+
+
+def warn_of_much_removed(clusters: Sequence[ClusterSummary], observer: Observer) -> None:
+    """Say that the evidence takes more of a map than is likely to have moved, if so."""
+    removed = sum(cluster.removed for cluster in clusters)
+    scored = sum(cluster.count for cluster in clusters)
+    if removed > MUCH * scored:
+        observer.warn(
+            f"{removed:,} of {scored:,} scored points go, more than moving things are likely to "
+            "leave: furniture may be among them; look at what was removed, and ask for a higher "
+            "removal.confidence if so"
         )

@@ -4,8 +4,7 @@ The map is streamed for its coordinates, and once more against one label a point
 fields never pass through the method. A map of one tile is cleaned in memory; a larger one is cut
 into tiles, whose work is shared out to workers and kept until all of it is done.
 
-What takes long to import is imported where it is used: it is known only then whether workers of
-this machine are needed, who have it from this process, or from one that imports it beside this one.
+What takes long to import is imported where it is used: a small map needs no workers.
 """
 
 from collections.abc import Callable, Sequence

@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, inlined
 from dynahull.errors import InvalidParametersError
 from dynahull.threads import over_ranges, range_bounds
 
@@ -130,6 +130,20 @@ class Forest:
         return found
 
 
+@inlined
+def _child(
+    known: float,
+    node: int,
+    left: npt.NDArray[np.int32],
+    right: npt.NDArray[np.int32],
+    missing_left: npt.NDArray[np.bool_],
+    value: npt.NDArray[np.float64],
+) -> int:
+    """Return where a node sends what is known of a point."""
+    goes_left = missing_left[node] if np.isnan(known) else known <= value[node]
+    return int(left[node] if goes_left else right[node])
+
+
 @compiled
 def _add_up(
     evidence: npt.NDArray[np.float32],
@@ -150,8 +164,7 @@ def _add_up(
             node = root
             while term[node] >= 0:
                 known = evidence[point, term[node]]
-                goes_left = missing_left[node] if np.isnan(known) else known <= value[node]
-                node = left[node] if goes_left else right[node]
+                node = _child(known, node, left, right, missing_left, value)
             total += value[node]
         found[point] = total
 
@@ -174,7 +187,6 @@ def _add_changes(
             node = root
             while term[node] >= 0:
                 known = evidence[point, term[node]]
-                goes_left = missing_left[node] if np.isnan(known) else known <= value[node]
-                child = left[node] if goes_left else right[node]
+                child = _child(known, node, left, right, missing_left, value)
                 found[point, groups[term[node]]] += mean[child] - mean[node]
                 node = child

@@ -18,6 +18,7 @@ from dynahull.warn import (
     warn_of_clusters,
     warn_of_densities,
     warn_of_ground,
+    warn_of_much_removed,
     warn_of_sparse_map,
 )
 from pipeline.errors import PlanError
@@ -107,7 +108,10 @@ def clean_tiles(
         labelled.add(tile, report)
         results.add(tile)
     results.flush()
-    return labelled.result(counts, percentages, cuts)
+    result = labelled.result(counts, percentages, cuts)
+    if job.configuration.removal.weighs_evidence:
+        warn_of_much_removed(result.clusters, observer)
+    return result
 
 
 def plan_tiles(

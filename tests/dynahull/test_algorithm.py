@@ -13,24 +13,10 @@ import dynahull
 from dynahull import Label, MethodParameters, clean
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.reference.neighbours import nearest_neighbours
+from tests.listener import Listener
 
 NO_GROUND = {"method": "none"}
 DEVICES = ["reference", "cpu"]
-
-
-class Listener:
-    def __init__(self):
-        self.warnings, self.stages, self.done = [], {}, 0
-
-    def stage(self, name, total):
-        self.stages[name] = total
-        self.done = 0
-
-    def advance(self, points):
-        self.done += points
-
-    def warn(self, message):
-        self.warnings.append(message)
 
 
 def room(size=1500, seed=0):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from dynahull import Label, clean
 from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.strays import HEAP, OUTSKIRTS_NAMES, Outskirts
+from tests.listener import Listener
 
 FAST = {"ground": {"method": "none"}, "neighbours": {"k": 20}, "clustering": {"count": 3}}
 
@@ -17,20 +18,6 @@ def room(seed=0, count=1500):
     wall = random.uniform(size=(count, 3)) * [6, 0.03, 2.5] + [1, 1, 0]
     ghost = random.uniform(size=(count // 10, 3)) * [4, 1.5, 1.8] + [2, 3, 0]
     return np.vstack([wall, ghost])
-
-
-class Listener:
-    def __init__(self):
-        self.warnings = []
-
-    def stage(self, name, total):
-        pass
-
-    def advance(self, points):
-        pass
-
-    def warn(self, message):
-        self.warnings.append(message)
 
 
 def with_points(points, more):

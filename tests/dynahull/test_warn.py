@@ -4,28 +4,17 @@ import numpy as np
 import pytest
 
 from dynahull import MethodParameters, clean
+from dynahull.result import ClusterSummary
 from dynahull.warn import (
     density_levels,
     warn_of_clusters,
     warn_of_densities,
     warn_of_ground,
+    warn_of_much_removed,
     warn_of_sparse_map,
     wide_neighbourhoods,
 )
-
-
-class Listener:
-    def __init__(self):
-        self.warnings = []
-
-    def stage(self, name, total):
-        pass
-
-    def advance(self, points):
-        pass
-
-    def warn(self, message):
-        self.warnings.append(message)
+from tests.listener import Listener
 
 
 def said_of_clusters(counts, **removal):
@@ -152,3 +141,14 @@ def test_clean_looks_at_how_wide_neighbourhoods_are(spacing, warned):
     listener = Listener()
     clean(wall, "auto", ground={"method": "none"}, clustering={"count": 1}, observer=listener)
     assert any("sparse, or was downsampled" in each for each in listener.warnings) == warned
+
+
+@pytest.mark.parametrize(("removed", "warned"), [(101, True), (100, False)])
+def test_a_map_of_which_much_goes_is_said(removed, warned):
+    clusters = [
+        ClusterSummary(index, (0.0, 0.0, 0.0), 150, 5.0, None, gone)
+        for index, gone in enumerate((removed, 0))
+    ]
+    listener = Listener()
+    warn_of_much_removed(clusters, listener)
+    assert any("of 300 scored points go" in each for each in listener.warnings) == warned
