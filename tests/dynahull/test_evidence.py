@@ -1,11 +1,15 @@
 """The evidence: sums that do not depend on how a map is cut, and terms that follow from them."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+import dynahull
 from dynahull import Label, clean
 from dynahull.density import reference_spreads
 from dynahull.errors import InvalidParametersError
@@ -197,6 +201,41 @@ def test_a_forest_adds_up_its_leaves(terms, expected):
     assert found.tolist() == [expected]
 
 
+def stored_model():
+    return json.loads((Path(dynahull.__file__).parent / "evidence" / "model.json").read_text())
+
+
+def walked(stored, terms):
+    """What the trees say of one point, each walked from its root."""
+    total = stored["baseline"]
+    for tree in stored["trees"]:
+        place = 0
+        while len(tree[place]) > 1:
+            term, limit, right, missing, _ = tree[place]
+            known = float(terms[stored["terms"].index(term)])
+            left = missing == "left" if np.isnan(known) else known <= limit
+            place = place + 1 if left else right
+        total += tree[place][0]
+    return np.float32(total)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["first", "second"]))
+@settings(deadline=None, max_examples=25)
+def test_the_odds_are_those_of_trees_that_are_walked(seed, which):
+    """At the limits themselves, beside them, and where a term is missing."""
+    stored, random = stored_model()[which], np.random.default_rng(seed)
+    limits = {name: [0.0] for name in stored["terms"]}
+    for tree in stored["trees"]:
+        for node in tree[:-1]:
+            if len(node) > 1:
+                limits[node[0]].append(node[1])
+    terms = np.array([random.choice(values, 20) for values in limits.values()], np.float32).T
+    terms += random.choice(np.array([-0.1, 0, 0, 0.1], np.float32), terms.shape)
+    terms[random.random(terms.shape) < 0.05] = np.nan
+    found = Forest.of(stored).log_odds(np.ascontiguousarray(terms))
+    assert found.tolist() == [walked(stored, row) for row in terms]
+
+
 def test_contributions_are_what_each_question_changes():
     found = Forest.of(STORED).contributions(
         np.array([[1.0, 0.0]], np.float32), np.array([0, 1], np.int32), 2
@@ -205,10 +244,11 @@ def test_contributions_are_what_each_question_changes():
 
 
 def test_contributions_and_baseline_add_up_to_the_odds():
-    forest = evidence_model().first
+    stored = stored_model()["first"]
+    forest = Forest.of(stored)
     terms = np.random.default_rng(0).normal(size=(50, len(TERMS))).astype(np.float32)
     groups = np.zeros(len(TERMS), np.int32)
-    expected = forest.baseline + forest.mean[forest.roots].sum()
+    expected = forest.baseline + sum(tree[0][-1] for tree in stored["trees"])
     shares = forest.contributions(terms, groups, 1)[:, 0]
     assert np.allclose(expected + shares, forest.log_odds(terms), atol=1e-3)
 
@@ -224,6 +264,8 @@ def test_every_term_has_its_reason():
         [[["a", 0.5, 0, "left", 1.5], [1.0], [2.0]]],
         [[["c", 0.5, 2, "left", 1.5], [1.0], [2.0]]],
         [[["a", 0.5, 2, "left", 1.5], [1.0]]],
+        [[["a", 0.5, 2, "left", 1.5], [1.0], [2.0], [3.0]]],
+        [[node for n in range(64) for node in (["a", n, 2 * n + 2, "left", 1.5], [1.0])] + [[2.0]]],
         "trees",
     ],
 )

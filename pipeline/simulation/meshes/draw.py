@@ -41,18 +41,23 @@ def random_parameters(
     vehicle = outdoors and random.random() < 0.5
     few = random.random()
     crowd = 100 if kind is MeshSceneKind.LOBBY else 25
-    people = 0 if few < 0.1 else int(u(1, 6)) if few < 0.3 else int(u(4, crowd))
-    still = few < 0.08  # nothing moves at all
+    people = 0 if few < 0.14 else int(u(1, 6)) if few < 0.3 else int(u(4, crowd))
+    still = few < 0.12  # nothing moves at all
     keyed = random.random() < 0.5
     good = random.random() < 0.5  # a map as one hopes for: whole scans, small drift, no filter
     scans = int(np.exp(u(np.log(60), np.log(300 if good else 500))))
     total = np.exp(u(np.log(2e6), np.log(4e6)) if good else u(np.log(4e5), np.log(3e6)))
-    if mode is DriveMode.STAND:  # sees the same walls again and again
+    if random.random() < 0.25:  # a short, hurried drive: most places are hardly scanned
+        scans = int(np.exp(u(np.log(6), np.log(60))))
+        total = np.exp(u(np.log(8e4), np.log(6e5)))
+    elif mode is DriveMode.STAND:  # sees the same walls again and again
         total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     drawn = {"kind": kind, "sensor": sensor, "seed": seed, "scans": scans, "mode": mode}
     drawn["rays"] = int(np.clip(total / scans, 2_500, 60_000 if good else 28_000))
     drawn |= _way(random, sensor, vehicle, keyed) | _returns(random)
+    if sensor is SensorKind.RING64:  # looks 2 degrees up: stands as high as people, or on a car
+        drawn["sensor_height"] = max(drawn["sensor_height"], float(u(1.2, 1.9)))
     drawn |= _movers(random, mode, outdoors, 0 if still else people, still) | _things(random)
     return MeshParameters.model_validate(drawn | _errors(random, good, voxel))
 
@@ -108,7 +113,7 @@ def _things(random: np.random.Generator) -> _Drawn:
     return {
         "glass": float(u(0, 1)),
         "mirrors": float(u(0, 0.6)),
-        "clutter": float(u(0.3, 2)),
+        "clutter": float(u(0.3, 2.5)),
     }
 
 
