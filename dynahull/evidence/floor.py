@@ -29,17 +29,11 @@ def floor_terms(
         Logarithm to base 2 of the length of each neighbourhood, metres.
     surroundings : Surroundings
     """
-    small, middle, large = (surroundings.levels[number].voxels for number in (1, 2, 3))
-    terms = np.full((len(xyz), len(FLOOR_TERMS)), np.nan, np.float32)
-    _floor_terms(
-        xyz,
-        height,
-        scale,
-        (small.cells, small.sums, small.table),
-        (middle.cells, middle.sums, middle.table),
-        (large.cells, large.sums, large.table),
-        terms,
+    small, middle, large = (
+        (level.cells, level.ground, level.table) for level in surroundings.levels[1:4]
     )
+    terms = np.full((len(xyz), len(FLOOR_TERMS)), np.nan, np.float32)
+    _floor_terms(xyz, height, scale, small, middle, large, terms)
     return terms
 
 
@@ -95,5 +89,5 @@ def _ground_about(i: int, j: int, k: int, lookup: _Lookup) -> int:
             for dk in range(-1, 2):
                 n = find_cell(i + di, j + dj, k + dk, lookup[0], lookup[2])
                 if n >= 0:
-                    count += lookup[1][n, 0]
+                    count += lookup[1][n]
     return int(count)

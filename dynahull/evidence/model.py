@@ -199,8 +199,11 @@ def judge_points(points: ScoredPoints, unscored: Floats, k: int, threads: int = 
         They change nothing about the result.
     """
     model = evidence_model()
-    voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored)])
-    found = model.first_round(points, k, Surroundings.of(voxels), threads)
+    surroundings = Surroundings.of(
+        Voxels.merged([summarise_points(points), summarise_ground(unscored)])
+    )
+    found = model.first_round(points, k, surroundings, threads)
+    del surroundings
     odds = summarise_odds(points.xyz, found.log_odds)
     score = final_scores(model, points.xyz, points.density, found, odds, threads)
     return Judged(score, found.reason)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from dynahull.compilation import compiled
 from dynahull.evidence.lattice import Cells, Integers, Voxels, find_cell
 from dynahull.evidence.shapes import shapes_of
-from dynahull.evidence.summaries import FINEST, LEVELS, SCORED
+from dynahull.evidence.summaries import FINEST, GROUND, LEVELS, SCORED
 from dynahull.evidence.summaries import SHAPE as MOMENTS_BEGIN
 
 SHAPED_LEVELS = 3
@@ -33,9 +33,11 @@ class Level:
 
     Attributes
     ----------
-    side : float
-        Of a voxel, metres.
-    voxels : Voxels
+    cells : (V, 3) int32 array
+    table : (T,) int32 array
+        Where each cell is found: see `lattice.find_cell`.
+    ground : (V,) int64 array
+        Ground points in each voxel.
     means : (V, 5) float32 array
         Over the box of 3 x 3 x 3 voxels: mean logarithms of density and thickness, and logarithms
         of returns a finest voxel that is occupied, and of how many more finest voxels, and points,
@@ -48,8 +50,9 @@ class Level:
         Least mean thickness and largest mean density of the voxels around.
     """
 
-    side: float
-    voxels: Voxels
+    cells: Cells
+    table: npt.NDArray[np.int32]
+    ground: Integers
     means: Terms
     shape: Terms | None = None
     columns: Terms | None = None
@@ -72,6 +75,7 @@ class Surroundings:
         """Read the sums over the finest voxels: see `summaries`."""
         occupied = (voxels.sums[:, SCORED] > 0).astype(np.int64)
         here = Voxels(voxels.cells, np.column_stack([voxels.sums, occupied]))
+        del voxels  # the sums are most of what a map takes here
         sums = here.around()
         levels = []
         for number in range(LEVELS):
@@ -81,8 +85,9 @@ class Surroundings:
             at = np.arange(len(here), dtype=np.int32) if parents is None else parents
             levels.append(
                 Level(
-                    side,
-                    here,
+                    here.cells,
+                    here.table,
+                    here.sums[:, GROUND].copy(),
                     _means(here.sums, sums, further, at),
                     shapes_of(here.cells, sums, SCORED, MOMENTS_BEGIN, side)
                     if number < SHAPED_LEVELS

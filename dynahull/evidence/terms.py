@@ -78,7 +78,7 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
     blocks = [own, floor_terms(points.xyz, points.height, own[:, 6], surroundings)]
     cells = cells_of(points.xyz, FINEST)
     for number, level in enumerate(surroundings.levels):
-        at = places_of(cells >> number, level.voxels.cells, level.voxels.table)
+        at = places_of(cells >> number, level.cells, level.table)
         means = level.means.take(at, axis=0)
         if number:
             blocks += [(log_density - means[:, 0])[:, None], (log_thickness - means[:, 1])[:, None]]

@@ -52,9 +52,9 @@ def weigh_tile(job: Job, tile: int) -> TaskReport:
     xyz, height = job.work.load("ground", tile, *_POINTS)
     density, spread = job.work.load("density", tile, "density", "spread")
     points = ScoredPoints(xyz, density, spread, height)
-    voxels = _around(job, tile, {"ground": _UNSCORED, "density": _SCORED})
-    k = job.configuration.neighbours.k
-    found = evidence_model().first_round(points, k, Surroundings.of(voxels))
+    surroundings = Surroundings.of(_around(job, tile, {"ground": _UNSCORED, "density": _SCORED}))
+    found = evidence_model().first_round(points, job.configuration.neighbours.k, surroundings)
+    del surroundings
     odds = summarise_odds(xyz, found.log_odds)
     kept = {name: getattr(found, name) for name in _FIRST} | _arrays(_ODDS, odds)
     job.work.save("evidence", tile, **kept)

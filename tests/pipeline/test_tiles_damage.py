@@ -72,6 +72,8 @@ MOMENTS = {
     "narrow halo": (npy_map, "ground", 3, ["tiling.halo=0.1", "ground.method=slope"]),
     "density": (npy_map, "density", 2, ["ground.method=none"]),
     "density, a model a tile": (npy_map, "label", 2, ["clustering.scope=tile"]),
+    "evidence": (npy_map, "evidence", 2, ["removal.decision=auto", "ground.method=slope"]),
+    "label, of evidence": (npy_map, "label", 2, ["removal.decision=auto", "ground.method=none"]),
     "write": (las_map, "write", 1, ["ground.method=none"]),
     "write, points between others": (npy_map, "write", 2, ["ground.method=none"]),
 }
@@ -170,7 +172,8 @@ def test_a_damaged_file_of_any_kind_is_made_again(damage, killed, tmp_path):
         status_text(tmp_path / "out")
         report = cleaned(map_file, tmp_path / "out", wanted)
         assert results(tmp_path / "out") == expected, kind
-        assert all("not as it was written" in each for each in report.warnings), report.warnings
+        told = [each for each in report.warnings if "the map is sparse" not in each]
+        assert all("not as it was written" in each for each in told), told
     assert results(out.parent / "whole") == expected
 
 

@@ -131,7 +131,7 @@ def _scan_times(track: Track, parameters: MeshParameters) -> NDArray[np.float64]
         turned = np.abs(np.gradient(track.yaw)).cumsum()
         way = track.gone + turned * parameters.key_distance / 0.8  # a turn counts as way, too
         marks = way[0] + np.arange(parameters.scans) * parameters.key_distance
-        reached = marks < way[-1]
+        reached = marks <= way[-1]  # one at least, of a sensor that stands all the time
         times = samples[np.searchsorted(way, marks[reached])]
         times = times[np.append(True, np.diff(times) > 0)]
     in_time: NDArray[np.float64] = times[times < samples[-1] - 1.0]
