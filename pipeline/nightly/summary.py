@@ -1,6 +1,7 @@
 """What a night has to say: a line for each map, and all of them together."""
 
 import json
+import os
 from collections import Counter
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -9,10 +10,14 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from pipeline.errors import NightlyError
+from pipeline.nightly.results import begun
+from pipeline.templates import render
 from tiling.atomic import atomic_file
 
 LINES_FILE = "nightly.jsonl"
 SUMMARY_FILE = "nightly.json"
+INDEX_FILE = "index.html"
 
 _EARLIER_LINES_FILE = f"{LINES_FILE}.1"
 
@@ -20,6 +25,10 @@ EXIT_WELL = 0
 EXIT_SOME_FAILED = 4
 EXIT_LOCKED = 75
 EXIT_SIGNALLED = 130
+
+_INDEX_TITLE = "dynahull-pipeline: night of "
+
+_MINUTE = "%Y-%m-%d %H:%M UTC"
 
 _LARGEST = 32 << 20
 """Bytes of `nightly.jsonl` before it is put aside as `nightly.jsonl.1`."""
@@ -131,8 +140,49 @@ class NightSummary(BaseModel):
         return f"{counts or 'no maps'}{why.get(self.ended, '')}"
 
 
-def is_summary(path: Path) -> bool:
-    """Tell whether a file is the summary of a night."""
+def write_index(folder: Path, summary: NightSummary) -> None:
+    """Replace the page to look at in the morning: what went wrong first, then the maps by name.
+
+    It opens from the disk and needs nothing else.
+    """
+    bad = (*FAILURES, MapOutcome.SET_ASIDE)
+    page = render(
+        "nightly/index.html",
+        title=_INDEX_TITLE,
+        night=f"{datetime.fromisoformat(summary.night):{_MINUTE}}",
+        summary=summary,
+        lines=sorted(summary.maps, key=lambda line: (line.outcome not in bad, line.map)),
+        bad=bad,
+        begun=lambda run: f"{datetime.fromtimestamp(begun(Path(run)), UTC):{_MINUTE}}",
+    )
+    with atomic_file(folder / INDEX_FILE) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def refuse_to_replace(output: Path) -> None:
+    """Refuse an output folder with files that nights replace and that none of them wrote.
+
+    Raises
+    ------
+    NightlyError
+    """
+    for name, is_own in ((INDEX_FILE, _is_index), (SUMMARY_FILE, _is_summary)):
+        path = output / name
+        if os.path.lexists(path) and not is_own(path):
+            raise NightlyError(f"{path}: there is a file that no night wrote; use another output")
+    lines = output / LINES_FILE
+    if os.path.lexists(lines) and (lines.is_symlink() or not lines.is_file()):
+        raise NightlyError(f"{lines}: expected a file of a night's, found a link or a folder")
+
+
+def _is_index(path: Path) -> bool:
+    try:
+        return f"<title>{_INDEX_TITLE}" in path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+
+
+def _is_summary(path: Path) -> bool:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

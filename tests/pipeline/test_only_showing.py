@@ -14,8 +14,8 @@ from pipeline.evaluation.results import evaluate_files
 from pipeline.plan import picture as plan_picture
 from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver, watching
+from pipeline.report_page.charts import Axis
 from pipeline.report_page.page import Views
-from pipeline.report_page.svg import Axis
 from pipeline.run import run
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
 
