@@ -4,19 +4,17 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation.campus import simulate_scans
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.points import Points
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters
+from pipeline.simulation.points import Points
 from pipeline.simulation.products import (
     PointCloudFile,
     PoseFiles,
@@ -24,7 +22,7 @@ from pipeline.simulation.products import (
     point_records,
     write_point_cloud,
 )
-from pipeline.simulation.simulate import Returns, SimulatedScan
+from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import writing_only_into
 
 _STAGING = ".simulation-partial"
@@ -162,23 +160,22 @@ class _Map:
         self._truth = truth
         self._waiting: list[Points] = []
 
-    def append(self, returns: Returns, number: int) -> None:
+    def append(self, points: Points) -> None:
         """Append the points of a scan."""
         if self._voxel:
-            self._waiting.append(Points.of_scan(returns, number))
+            self._waiting.append(points)
         else:
-            self._write(returns, number)
+            self._write(points)
 
     def finish(self) -> None:
         """Filter what waits, and write it."""
         if self._waiting:
-            points = Points.joined(self._waiting).filtered(self._voxel)
-            self._write(points.returns(), points.scan)
+            self._write(Points.joined(self._waiting).filtered(self._voxel))
 
-    def _write(self, returns: Returns, scan: int | NDArray[np.int32]) -> None:
-        self._cloud.append(point_records(returns.xyz, returns, scan))
+    def _write(self, points: Points) -> None:
+        self._cloud.append(point_records(points))
         if self._truth is not None:
-            self._truth.append(returns)
+            self._truth.append(points)
 
 
 def _write_drive(
@@ -203,10 +200,10 @@ def _write_drive(
             returns = scan.returns
             count += len(returns)
             for kept, seen in zip(maps, (returns, scan.static_returns), strict=False):
-                kept.append(seen, scan.number)
+                kept.append(seen)
             poses.append(scan)
             if not map_only:
-                own = point_records(scan.in_sensor_frame(), returns, scan.number)
+                own = point_records(replace(returns, xyz=scan.in_sensor_frame()))
                 write_point_cloud(files.scans / f"{scan.number:0{_SCAN_DIGITS}d}.pcd", own)
             advance(len(returns))
         for kept in maps:
@@ -226,7 +223,7 @@ def _write_low_activity(
     with PointCloudFile(files.low_activity) as cloud:
         kept = _Map(quiet, cloud, None)
         for scan in _scans(quiet, static=False):
-            kept.append(scan.returns, scan.number)
+            kept.append(scan.returns)
         kept.finish()
 
 

@@ -12,8 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pipeline.simulation.points import Points
 from pipeline.simulation.shapes import Surface
-from pipeline.simulation.simulate import Returns, SimulatedScan
+from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import create_file
 
 POINT = np.dtype(
@@ -29,18 +30,17 @@ POINT = np.dtype(
 """A point in every file, in metres and seconds."""
 
 POINTS_IN_MEMORY = 250_000
-"""Points gathered before they are written."""
+"""Points whose truth is gathered before it is written."""
 
 _HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be written at the end
 
 
-def point_records(
-    xyz: NDArray[np.float64], returns: Returns, scan: int | NDArray[np.int32]
-) -> NDArray[np.void]:
+def point_records(points: Points) -> NDArray[np.void]:
     """Return points as files hold them."""
-    records = np.empty(len(xyz), dtype=POINT)
-    records["x"], records["y"], records["z"] = xyz.T
-    records["intensity"], records["time"], records["scan"] = returns.intensity, returns.time, scan
+    records = np.empty(len(points), dtype=POINT)
+    records["x"], records["y"], records["z"] = points.xyz.T
+    for name in ("intensity", "time", "scan"):
+        records[name] = getattr(points, name)
     return records
 
 
@@ -49,23 +49,13 @@ class PointCloudFile:
 
     def __init__(self, path: Path) -> None:
         self._count = 0
-        self._waiting: list[NDArray[np.void]] = []
-        self._waiting_points = 0
         self._file = create_file(path)
         self._file.write(_pcd_header(0))
 
     def append(self, records: NDArray[np.void]) -> None:
         """Append points."""
-        self._waiting.append(records)
-        self._waiting_points += len(records)
-        if self._waiting_points >= POINTS_IN_MEMORY:
-            self._flush()
-
-    def _flush(self) -> None:
-        for records in self._waiting:
-            self._file.write(records.data)
-            self._count += len(records)
-        self._waiting, self._waiting_points = [], 0
+        self._file.write(records.data)
+        self._count += len(records)
 
     def __enter__(self) -> Self:
         return self
@@ -78,7 +68,6 @@ class PointCloudFile:
     ) -> None:
         with self._file:
             if kind is None:
-                self._flush()
                 self._file.seek(0)
                 self._file.write(_pcd_header(self._count))
 
@@ -108,10 +97,10 @@ class TruthFile:
         self._known = known
         self._file = create_file(path)
         self._writer = pq.ParquetWriter(self._file, self._schema)
-        self._waiting: list[Returns] = []
+        self._waiting: list[Points] = []
         self._waiting_points = 0
 
-    def append(self, returns: Returns) -> None:
+    def append(self, returns: Points) -> None:
         """Append what is true of the points of a scan."""
         self._waiting.append(returns)
         self._waiting_points += len(returns)
@@ -127,7 +116,7 @@ class TruthFile:
             pa.DictionaryArray.from_arrays(pa.array(surface), self._TITLES),
         ]
         if self._known:
-            columns.append(pa.array(np.concatenate([part.known for part in self._waiting])))
+            columns.append(pa.array(np.concatenate([returns.known for returns in self._waiting])))
         self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema))
         self._waiting, self._waiting_points = [], 0
 

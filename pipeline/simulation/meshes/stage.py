@@ -169,7 +169,3 @@ class Stage:
             np.repeat(surfaces, sizes),
             np.repeat(albedos, sizes),
         )
-
-    def ground(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the height of the first floor at places."""
-        return self.floors[0].height(x, y)
