@@ -84,20 +84,16 @@ class RowReader:
         EvaluationError
             When there are no more.
         """
-        parts, wanted = [self._left[:count]], count - len(self._left[:count])
-        self._left = self._left[count:]
-        while wanted:
+        while len(self._left) < count:
             array = next(self._arrays, None)
             if array is None:
+                few = count - len(self._left)
                 raise EvaluationError(
-                    f"{self._name}: expected a value of every row, found {wanted:,} too few"
+                    f"{self._name}: expected a value of every row, found {few:,} too few"
                 )
-            parts.append(array[:wanted])
-            self._left = array[wanted:]
-            wanted -= len(parts[-1])
-        # An empty first part has no type of its own.
-        filled = [part for part in parts if len(part)] or parts[-1:]
-        return filled[0] if len(filled) == 1 else np.concatenate(filled)
+            self._left = np.concatenate([self._left, array]) if len(self._left) else array
+        taken, self._left = self._left[:count], self._left[count:]
+        return taken
 
 
 def parse_values(option: str, text: str) -> tuple[range, ...]:
