@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -171,9 +171,6 @@ def load_simulation(settings: Sequence[str]) -> SimulationParameters | MeshParam
     return load_parameters(MeshParameters, None, renamed)
 
 
-_Drawn = dict[str, Any]
-
-
 def random_parameters(
     seed: int, kind: MeshSceneKind | None = None, sensor: SensorKind | None = None
 ) -> MeshParameters:
@@ -212,16 +209,14 @@ def random_parameters(
     if mode is DriveMode.STAND:  # sees the same walls again and again
         total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
-    drawn = {"kind": kind, "sensor": sensor, "seed": seed, "scans": scans, "mode": mode}
-    drawn["rays"] = int(np.clip(total / scans, 2_500, 60_000 if good else 28_000))
-    drawn |= _way(random, sensor, vehicle, keyed) | _returns(random)
-    drawn |= _movers(random, mode, outdoors, 0 if still else people, still) | _things(random)
-    return MeshParameters.model_validate(drawn | _errors(random, good, voxel))
-
-
-def _way(random: np.random.Generator, sensor: SensorKind, vehicle: bool, keyed: bool) -> _Drawn:
-    u = random.uniform
-    return {
+    drawn = {
+        "kind": kind,
+        "sensor": sensor,
+        "seed": seed,
+        "scans": scans,
+        "mode": mode,
+        "rays": int(np.clip(total / scans, 2_500, 60_000 if good else 28_000)),
+        # The way of the sensor.
         "interval": float(random.choice([0.1, 0.2, 0.5, 1.0])) if not keyed else 0.1,
         "key_distance": float(u(0.2, 1.0)) * (3.0 if vehicle else 1.0) if keyed else 0.0,
         "rate": float(random.choice([5.0, 10.0, 10.0, 20.0])),
@@ -232,12 +227,7 @@ def _way(random: np.random.Generator, sensor: SensorKind, vehicle: bool, keyed: 
         "pitch": float(u(-5, 30)) if sensor is SensorKind.MID360 and random.random() < 0.4 else 0.0,
         "wobble": float(u(0.5, 5)) if not vehicle and random.random() < 0.3 else float(u(0, 0.3)),
         "own_body": float(u(1.2, 2.5) if vehicle else u(0.25, 0.5)),
-    }
-
-
-def _returns(random: np.random.Generator) -> _Drawn:
-    u = random.uniform
-    return {
+        # What it makes of what it meets.
         "max_range": float(random.choice([15, 30, 60, 100])),
         "range_noise": float(np.exp(u(np.log(0.004), np.log(0.03)))),
         "angle_noise": float(u(0.0, 0.12)),
@@ -245,36 +235,18 @@ def _returns(random: np.random.Generator) -> _Drawn:
         "sensitivity": float(np.exp(u(np.log(0.4), np.log(3)))),
         "mixed": float(u(0, 0.3)),
         "beam": float(u(0.05, 0.25)),
-    }
-
-
-def _movers(
-    random: np.random.Generator, mode: DriveMode, outdoors: bool, people: int, still: bool
-) -> _Drawn:
-    u = random.uniform
-    return {
-        "people": people,
+        # What moves.
+        "people": 0 if still else people,
         "lingering": float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
         "seated": int(u(0, 8)) if random.random() < 0.5 else 0,
         "vehicles": 0
         if still
         else int(random.choice([0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4])),
-    }
-
-
-def _things(random: np.random.Generator) -> _Drawn:
-    u = random.uniform
-    return {
+        # What stands about.
         "glass": float(u(0, 1)),
         "mirrors": float(u(0, 0.6)),
         "clutter": float(u(0.3, 2)),
-    }
-
-
-def _errors(random: np.random.Generator, good: bool, voxel: float) -> _Drawn:
-    """Draw drift, and what becomes of the map's points."""
-    u = random.uniform
-    return {
+        # Drift, and what becomes of the map's points.
         "drift_position": float(np.exp(u(np.log(0.003), np.log(0.02 if good else 0.06)))),
         "drift_angle": float(u(0.0, 0.1 if good else 0.3)),
         "jitter_position": float(u(0.0, 0.01)),
@@ -284,3 +256,4 @@ def _errors(random: np.random.Generator, good: bool, voxel: float) -> _Drawn:
         "voxel": voxel if not good and random.random() < 0.5 else 0.0,
         "keep": float(u(0.2, 1.0)) if not good and random.random() < 0.4 else 1.0,
     }
+    return MeshParameters.model_validate(drawn)
