@@ -20,7 +20,6 @@ from pipeline.nightly.inventory import (
     learn_content,
 )
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
-from pipeline.nightly.minutes import Minutes
 from pipeline.nightly.one_map import Cleaner, Ended, Request
 from pipeline.nightly.results import (
     MapFolder,
@@ -35,6 +34,7 @@ from pipeline.nightly.settings import NightlySettings
 from pipeline.nightly.summary import (
     INDEX_FILE,
     MapOutcome,
+    Minutes,
     NightSummary,
     refuse_to_replace,
     write_index,
