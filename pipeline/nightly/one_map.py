@@ -57,14 +57,14 @@ class Request:
     output : Path
         Folder of the run.
     configuration : Configuration
-    root : Path or None
+    root : Path
         The folder that the map lies in, and no link leads out of.
     """
 
     map: Path
     output: Path
     configuration: Configuration
-    root: Path | None = None
+    root: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ def clean_one(request: Request, observer: StageObserver) -> Ended:
     """Clean a map, whatever happens."""
     try:
         files = find_map_files([request.map])
-        if request.root is not None and not lie_within(request.root, files):
+        if not lie_within(request.root, files):
             return Ended("failed", f"{request.map}: became a link out of {request.root}")
         run(files, request.output, request.configuration, observer)
     except KeyboardInterrupt:
