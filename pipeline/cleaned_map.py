@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from dynahull.result import ClusterSummary
 from pipeline.decision import Decision
+from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views
-from pipeline.report_page.tile_chart import TileWork
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,8 @@ from pipeline.outputs.run_report import RunReport
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.progress import StageObserver
+from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views, render_page
-from pipeline.report_page.tile_chart import TileWork
 from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work

@@ -10,9 +10,8 @@ from benchmarks.compare.scene import Scene
 from dynahull.progress import SilentObserver
 from pipeline.evaluation.evaluate import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.labels import RowValues, Truth
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.row_values import RowValues
 from tiling.collection import MapCollection
 
 __all__ = ["evaluation_options", "measure"]

@@ -106,10 +106,10 @@ class _Made:
 
 def _meshes(seed: int) -> _Made:
     parameters = random_parameters(seed)
-    made = simulate_meshes(parameters)
-    truth = np.where(made.known, np.where(made.moved, MOVED, STATIC), UNKNOWN).astype(np.int8)
+    points = simulate_meshes(parameters).points
+    truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
     return _Made(
-        made.xyz, truth, str(parameters.kind), str(parameters.sensor), parameters.voxel > 0
+        points.xyz, truth, str(parameters.kind), str(parameters.sensor), parameters.voxel > 0
     )
 
 

@@ -143,7 +143,7 @@ def evaluate_command(
     from rich.console import Console  # noqa: PLC0415
 
     from pipeline.evaluation.options import EvaluationOptions  # noqa: PLC0415
-    from pipeline.evaluation.results import evaluate_files  # noqa: PLC0415
+    from pipeline.evaluation.report import evaluate_files  # noqa: PLC0415
 
     given = {
         "labels": labels,

@@ -57,16 +57,16 @@ def nightly_command(
         typer.echo(install_text(found, source, settings or []))
         return
 
-    from pipeline.nightly.cleaner import ChildProcess  # noqa: PLC0415
-    from pipeline.nightly.clock import NightEnd, SystemClock  # noqa: PLC0415
+    from pipeline.nightly.clock import Clock, NightEnd  # noqa: PLC0415
     from pipeline.nightly.night import clean_nightly  # noqa: PLC0415
+    from pipeline.nightly.one_map import Cleaner  # noqa: PLC0415
     from pipeline.nightly.summary import EXIT_LOCKED, EXIT_WELL  # noqa: PLC0415
 
-    clock = SystemClock()
+    clock = Clock()
     end = NightEnd(clock, found.stop_after)
     try:
         with end.listening():
-            summary = clean_nightly(found, ChildProcess(), clock, end, retry=retry)
+            summary = clean_nightly(found, Cleaner(), clock, end, retry=retry)
     except NightLockedError as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(EXIT_LOCKED) from None

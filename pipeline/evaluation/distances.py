@@ -1,10 +1,11 @@
-"""How far a map lies from the truth: nearest-point distances and what is made of them.
+"""How far the cleaned map lies from the truth, place by place: who removed what is not asked.
 
-All of them take the distances from each point of one map to its nearest point in the other.
+The figures take the distances from each point of one map to its nearest point in the other.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
@@ -12,10 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from pipeline.evaluation.order_statistics import order_statistics
+from dynahull.progress import Observer
+from pipeline.evaluation.earth_mover import EarthMoversDistance, draw_sample, transport_cost
+from pipeline.evaluation.nearest_point import look_up
+from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.tiled_cloud import TiledCloud
 
-Batches = Iterable[NDArray[np.float64]]
-"""Distances in batches, together at least one, which can be gone through several times."""
+Distances = NDArray[np.float64]
+"""At least one; perhaps a file that is mapped into memory, and more than fits there."""
+
+_AT_A_TIME = 100_000
 
 
 class DistanceStatistics(BaseModel):
@@ -50,20 +57,21 @@ class DistanceStatistics(BaseModel):
     largest: float
 
     @classmethod
-    def of(cls, distances: Batches) -> "DistanceStatistics":
-        """Take them of distances; neither their order nor the batches matter, to the last bit."""
-        count = sum(map(len, distances))
-        mean = exact_sum(distances) / count
+    def of(cls, distances: Distances) -> "DistanceStatistics":
+        """Take them of distances; their order does not matter to the last bit, and is changed."""
+        count = len(distances)
+        mean = _exact_sum(distances) / count
         rank = 0.9 * (count - 1)
-        below = int(rank)
-        low, high = order_statistics(distances, below)
+        below, above = int(rank), min(int(rank) + 1, count - 1)
+        distances.partition((below, above))
+        low, high = float(distances[below]), float(distances[above])
         return cls(
             count=count,
             mean_absolute_error=mean,
-            variance=exact_sum(np.square(each - mean) for each in distances) / count,
-            root_mean_square_error=math.sqrt(_squares(distances) / count),
+            variance=_exact_sum(distances, lambda some: np.square(some - mean)) / count,
+            root_mean_square_error=math.sqrt(_exact_sum(distances, np.square) / count),
             percentile_90=low + (rank - below) * (high - low),
-            largest=max(float(each.max(initial=0.0)) for each in distances),
+            largest=float(distances.max()),
         )
 
 
@@ -84,10 +92,11 @@ class DirectedChamfer(BaseModel):
     unsquared: float
 
     @classmethod
-    def of(cls, distances: Batches) -> "DirectedChamfer":
-        """Take the means; neither the order of the distances nor the batches matter."""
-        count = sum(map(len, distances))
-        return cls(squared=_squares(distances) / count, unsquared=exact_sum(distances) / count)
+    def of(cls, distances: Distances) -> "DirectedChamfer":
+        """Take the means; the order of the distances does not matter."""
+        count = len(distances)
+        squared = _exact_sum(distances, np.square) / count
+        return cls(squared=squared, unsquared=_exact_sum(distances) / count)
 
 
 class ChamferDistance(BaseModel):
@@ -130,41 +139,84 @@ class ChamferDistance(BaseModel):
         )
 
 
-def exact_sum(batches: Batches) -> float:
-    """Return the sum of all numbers as if it were rounded but once: in any order the same."""
-    return math.fsum(chain.from_iterable(each.tolist() for each in batches))
+def _exact_sum(
+    distances: Distances, changed: Callable[[Distances], Distances] = np.asarray
+) -> float:
+    """Return the sum of all numbers, each changed, as if it were rounded but once."""
+    parts = (distances[at : at + _AT_A_TIME] for at in range(0, len(distances), _AT_A_TIME))
+    return math.fsum(chain.from_iterable(changed(part).tolist() for part in parts))
 
 
-def _squares(distances: Batches) -> float:
-    return exact_sum(np.square(each) for each in distances)
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """The distances between two maps; `earth_mover` is None where none was asked for."""
+
+    distances: DistanceStatistics
+    chamfer: ChamferDistance
+    earth_mover: EarthMoversDistance | None
 
 
-_AT_A_TIME = 100_000
-
-
-class DistanceFile:
-    """A file of distances, gone through in batches.
+def compare_geometry(
+    cleaned: TiledCloud,
+    truth: TiledCloud,
+    options: EvaluationOptions,
+    folder: Path,
+    observer: Observer,
+) -> Geometry:
+    """Measure the distances between the cleaned map and the truth.
 
     Parameters
     ----------
-    path : Path
-        An earlier file of this name is replaced.
+    cleaned, truth : TiledCloud
+        Each with at least one point.
+    options : EvaluationOptions
+        Of the Earth Mover's Distance.
+    folder : Path
+        For the distances, in one direction at a time.
+    observer : Observer
+
+    Returns
+    -------
+    Geometry
     """
+    distances = _all_distances(cleaned, truth, folder, observer, "to the truth")
+    statistics, too_much = DistanceStatistics.of(distances), DirectedChamfer.of(distances)
+    distances = _all_distances(truth, cleaned, folder, observer, "from the truth")
+    lacking = DirectedChamfer.of(distances)
+    return Geometry(
+        distances=statistics,
+        chamfer=ChamferDistance.of(too_much, lacking),
+        earth_mover=_transport(cleaned, truth, options, observer) if options.emd_points else None,
+    )
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        path.write_bytes(b"")
 
-    def append(self, distances: NDArray[np.float64]) -> None:
-        """Put some more behind the others."""
-        with self._path.open("ab") as stream:
-            np.ascontiguousarray(distances, np.float64).tofile(stream)
+def _all_distances(
+    cloud: TiledCloud, other: TiledCloud, folder: Path, observer: Observer, stage: str
+) -> Distances:
+    """Write the distances of all points, which the percentile and the variance need again."""
+    file = folder / "distances"
+    with file.open("wb") as stream:
+        for _, nearest in look_up(cloud, other, observer, stage):
+            nearest.distances.tofile(stream)
+    return np.memmap(file, np.float64)
 
-    def __iter__(self) -> Iterator[NDArray[np.float64]]:
-        with self._path.open("rb") as stream:
-            while len(batch := np.fromfile(stream, np.float64, _AT_A_TIME)):
-                yield batch
 
-    def remove(self) -> None:
-        """Remove the file."""
-        self._path.unlink()
+def _transport(
+    cleaned: TiledCloud, truth: TiledCloud, options: EvaluationOptions, observer: Observer
+) -> EarthMoversDistance:
+    """Move a sample of the cleaned map, and another of the truth, onto a sample of the truth."""
+    of_truth, other, of_cleaned = (
+        draw_sample(cloud, options.emd_points, options.seed, stream)
+        for stream, cloud in enumerate((truth, truth, cleaned))
+    )
+    observer.stage("transport", len(of_cleaned))
+    earth_mover = EarthMoversDistance(
+        distance=transport_cost(of_cleaned, of_truth, options.ground_cost),
+        sampling_floor=transport_cost(other, of_truth, options.ground_cost),
+        cleaned_points=len(of_cleaned),
+        truth_points=len(of_truth),
+        ground_cost=options.ground_cost,
+        seed=options.seed,
+    )
+    observer.advance(len(of_cleaned))
+    return earth_mover

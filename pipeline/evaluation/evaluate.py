@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 
 from dynahull.progress import Observer
 from pipeline.errors import DiskSpaceError, EvaluationError
+from pipeline.evaluation.distances import Geometry, compare_geometry
 from pipeline.evaluation.earth_mover import check_transport
-from pipeline.evaluation.geometry import Geometry, compare_geometry
 from pipeline.evaluation.inputs import EvaluationInputs
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.options import EvaluationOptions

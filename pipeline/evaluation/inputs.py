@@ -9,13 +9,13 @@ from dynahull import Label
 from pipeline.configuration.run import InputParameters
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.labels import (
+    RowValues,
     is_label_table,
     parse_values,
     read_label_table,
     read_labels_of_map,
 )
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.row_values import RowValues
 from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
 from pipeline.outputs.reading import label_batches, table_batches
 from pipeline.units import open_collection

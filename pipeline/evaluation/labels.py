@@ -1,16 +1,17 @@
 """What is true of each point of the original map: it is static, or moved, or nobody said."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, EvaluationError
-from pipeline.evaluation.row_values import RowValues
 from tiling.collection import MapCollection
 from tiling.formats.coordinates import coordinate_names
 from tiling.formats.field_values import field_values
@@ -37,6 +38,62 @@ class Truth(IntEnum):
 
 Labels = NDArray[np.int8]
 """A `Truth` for each of some points."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowValues:
+    """Values of all rows of a map, which can be gone through several times.
+
+    Attributes
+    ----------
+    read : callable
+        Begins a pass: returns arrays that together are the values of all rows, in order.
+    """
+
+    read: Callable[[], Iterable[NDArray[Any]]]
+
+    @classmethod
+    def of(cls, values: NDArray[Any]) -> "RowValues":
+        """Return values that are in memory, (N,)."""
+        return cls(lambda: [values])
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return iter(self.read())
+
+
+class RowReader:
+    """One pass through the values of a map, as many rows at a time as are asked for.
+
+    Parameters
+    ----------
+    values : RowValues
+    name : str
+        What they are of, for the message where there are too few.
+    """
+
+    def __init__(self, values: RowValues, name: str) -> None:
+        self._arrays = iter(values)
+        self._left: NDArray[Any] = np.empty(0)
+        self._name = name
+
+    def take(self, count: int) -> NDArray[Any]:
+        """Return the values of the next rows, (count,).
+
+        Raises
+        ------
+        EvaluationError
+            When there are no more.
+        """
+        while len(self._left) < count:
+            array = next(self._arrays, None)
+            if array is None:
+                few = count - len(self._left)
+                raise EvaluationError(
+                    f"{self._name}: expected a value of every row, found {few:,} too few"
+                )
+            self._left = np.concatenate([self._left, array]) if len(self._left) else array
+        taken, self._left = self._left[:count], self._left[count:]
+        return taken
 
 
 def parse_values(option: str, text: str) -> tuple[range, ...]:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from dynahull.checking import valid_points
 from dynahull.progress import Observer
 from pipeline.errors import EvaluationError
-from pipeline.evaluation.labels import Labels, Truth
-from pipeline.evaluation.row_values import RowReader, RowValues
+from pipeline.evaluation.labels import Labels, RowReader, RowValues, Truth
 from tiling.collection import MapCollection
 from tiling.formats.points import PointBatch
 from tiling.layout import Layout, quadtree

@@ -4,7 +4,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal, Protocol
+from typing import Literal
 
 Ending = Literal["time", "signal"]
 
@@ -14,24 +14,11 @@ _SLICE = 1.0
 """Seconds that are slept before a look at whether the night is over."""
 
 
-class Clock(Protocol):
-    """Tells the time, and passes it."""
-
-    def now(self) -> float:
-        """Return the seconds since 1970, as files are dated."""
-
-    def monotonic(self) -> float:
-        """Return seconds that nobody sets back."""
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-
-
-class SystemClock:
+class Clock:
     """The machine's own time."""
 
     def now(self) -> float:
-        """Return the seconds since 1970."""
+        """Return the seconds since 1970, as files are dated."""
         return time.time()
 
     def monotonic(self) -> float:

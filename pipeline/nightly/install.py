@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pipeline.errors import ConfigurationError
 from pipeline.home import user_name
-from pipeline.nightly.index_page import INDEX_FILE
 from pipeline.nightly.settings import NightlySettings
+from pipeline.nightly.summary import INDEX_FILE
 
 LOG_FILE = "nightly.log"
 """Where cron's line puts the log, in the output folder."""

@@ -11,9 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.errors import DiskSpaceError
-from pipeline.nightly.cleaner import Cleaner
 from pipeline.nightly.clock import Clock, NightEnd
-from pipeline.nightly.index_page import INDEX_FILE, write_index
 from pipeline.nightly.inventory import (
     Problem,
     find_maps,
@@ -22,20 +20,25 @@ from pipeline.nightly.inventory import (
     learn_content,
 )
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
-from pipeline.nightly.minutes import Minutes
-from pipeline.nightly.one_map import Ended, Request
-from pipeline.nightly.own_files import refuse_to_replace
+from pipeline.nightly.one_map import Cleaner, Ended, Request
 from pipeline.nightly.results import (
     MapFolder,
     is_finished,
     map_name,
     remove_finished_work,
+    remove_old_runs,
     run_report,
     tasks_done,
 )
-from pipeline.nightly.retention import remove_old_runs
 from pipeline.nightly.settings import NightlySettings
-from pipeline.nightly.summary import MapOutcome, NightSummary
+from pipeline.nightly.summary import (
+    INDEX_FILE,
+    MapOutcome,
+    Minutes,
+    NightSummary,
+    refuse_to_replace,
+    write_index,
+)
 from pipeline.nightly.triage import Candidate, in_turn, verdict
 from pipeline.outputs.folder import folder_is_locked
 from pipeline.outputs.folder_lock import night_lock

@@ -1,7 +1,7 @@
 """One map, cleaned in a process of its own: what ends that process ends no night.
 
-Its argument is its request; it says on standard output what became of it, and stops tidily on
-SIGTERM. When standard input ends, the night was killed, and it stops as well.
+The argument of the process is its request; it says on standard output what became of it, and stops
+tidily on SIGTERM. When standard input ends, the night was killed, and it stops as well.
 """
 
 import errno
@@ -9,11 +9,17 @@ import json
 import logging
 import os
 import signal
+import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from select import select
 from threading import Thread
-from typing import Literal
+from time import monotonic
+from typing import IO, Literal
+
+from pydantic import TypeAdapter
 
 from dynahull.errors import DynaHullError
 from pipeline.configuration.run import Configuration
@@ -31,6 +37,12 @@ _FULL = (os.strerror(errno.ENOSPC), os.strerror(errno.EDQUOT))
 _LONGEST = 1_000
 """Characters of a reason."""
 
+_LOOK_EVERY = 0.5
+"""Seconds between two looks at whether the night is over."""
+
+_GRACE = 60.0
+"""Seconds that a run has to stop in, before it is killed; what is done is kept even so."""
+
 logger = logging.getLogger("dynahull")
 
 
@@ -45,32 +57,14 @@ class Request:
     output : Path
         Folder of the run.
     configuration : Configuration
-    root : Path or None
+    root : Path
         The folder that the map lies in, and no link leads out of.
     """
 
     map: Path
     output: Path
     configuration: Configuration
-    root: Path | None = None
-
-    def to_text(self) -> str:
-        """Return the request as text of one line."""
-        values = {
-            "map": str(self.map),
-            "output": str(self.output),
-            "root": None if self.root is None else str(self.root),
-            "configuration": self.configuration.model_dump(mode="json"),
-        }
-        return json.dumps(values)
-
-    @classmethod
-    def from_text(cls, text: str) -> "Request":
-        """Read the text."""
-        values = json.loads(text)
-        configuration = Configuration.model_validate(values["configuration"])
-        root = None if values["root"] is None else Path(values["root"])
-        return cls(Path(values["map"]), Path(values["output"]), configuration, root)
+    root: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,22 +82,84 @@ class Ended:
     how: Literal["cleaned", "failed", "no space", "stopped", "died"]
     reason: str = ""
 
-    def to_text(self) -> str:
-        """Return it as text of one line."""
-        return json.dumps(asdict(self))
 
-    @classmethod
-    def from_text(cls, text: str) -> "Ended":
-        """Read the text."""
-        values = json.loads(text)
-        return cls(values["how"], values["reason"])
+_REQUEST = TypeAdapter(Request)
+
+
+class Cleaner:
+    """Cleans each map in a new process.
+
+    A map that takes all memory, or that a library dies of, ends only that; and when the night's
+    own process is killed, the pipe to the child ends, and the child with it.
+    """
+
+    def clean(self, request: Request, is_over: Callable[[], bool]) -> Ended:
+        """Clean a map.
+
+        Parameters
+        ----------
+        request : Request
+        is_over : callable
+            Tells whether to stop; asked now and then.
+        """
+        # -P: a folder `pipeline` in the present folder is not this package. A session of its own:
+        # Ctrl-C goes to the night, which stops the child once.
+        asked = json.dumps(_REQUEST.dump_python(request, mode="json"))
+        command = [sys.executable, "-P", "-m", "pipeline.nightly.one_map", asked]
+        with subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            assert process.stdout is not None  # as asked for
+            try:
+                answer = _answer(process, process.stdout, is_over)
+                _wait(process)
+            except BaseException:
+                process.kill()
+                raise
+        if answer:
+            return Ended(**json.loads(answer))
+        return Ended("stopped") if is_over() else Ended("died", _last_words(process.returncode))
+
+
+def _answer(process: subprocess.Popen[str], answers: IO[str], is_over: Callable[[], bool]) -> str:
+    """Return what the child says, nothing if it ends without a word; stop it in time."""
+    told: float | None = None
+    while not select([answers], [], [], _LOOK_EVERY)[0]:
+        if told is None and is_over():
+            logger.info("the night is over: stopping")
+            process.terminate()
+            told = monotonic()
+        elif told is not None and monotonic() - told > _GRACE:
+            process.kill()
+    return answers.readline()
+
+
+def _wait(process: subprocess.Popen[str]) -> None:
+    """Wait until the child has left; its answer is here, so that it may be made to."""
+    try:
+        process.wait(_GRACE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _last_words(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"its process ended without a result (exit code {code})"
+    name = signal.Signals(-code).name
+    hint = ", as the system does when memory runs out" if name == "SIGKILL" else ""
+    return f"its process was ended by {name}{hint}"
 
 
 def clean_one(request: Request, observer: StageObserver) -> Ended:
     """Clean a map, whatever happens."""
     try:
         files = find_map_files([request.map])
-        if request.root is not None and not lie_within(request.root, files):
+        if not lie_within(request.root, files):
             return Ended("failed", f"{request.map}: became a link out of {request.root}")
         run(files, request.output, request.configuration, observer)
     except KeyboardInterrupt:
@@ -134,10 +190,11 @@ def main() -> None:
     logger.setLevel(logging.INFO)
     signal.signal(signal.SIGTERM, _stop)
     Thread(target=_watch_the_night, daemon=True).start()
-    ended = clean_one(Request.from_text(sys.argv[1]), StageObserver(LogDisplay()))
+    request = _REQUEST.validate_python(json.loads(sys.argv[1]))
+    ended = clean_one(request, StageObserver(LogDisplay()))
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        answer.write(ended.to_text() + "\n")
+        answer.write(json.dumps(asdict(ended)) + "\n")
         answer.close()
     except BrokenPipeError:
         os._exit(1)

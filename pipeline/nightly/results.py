@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.configuration.run import Configuration
+from pipeline.nightly.settings import Retention
 from pipeline.outputs.folder import REPORT_FILE, RUN_FILE, folder_is_locked
 from pipeline.work.folder import WORK_FOLDER, remove_work, stages_begun
 
@@ -32,6 +33,7 @@ _REMOVED = ".removed-"
 
 _KEY_LENGTH = 16
 _TIME = "%Y-%m-%dT%H-%M-%SZ"
+_DAY = 86400.0
 _RUN_NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)-([0-9a-f]{16})")
 
 
@@ -193,3 +195,45 @@ def report_page(run: Path) -> Path:
     """Return what to look at: the report of a finished run, or else its `run.json`."""
     page = run / REPORT_FILE
     return page if page.is_file() else run / RUN_FILE
+
+
+def remove_old_runs(
+    folder: MapFolder,
+    keep: Retention,
+    now: float,
+    wanted: str | None,
+    *,
+    work_may_go_on: bool,
+) -> list[Path]:
+    """Remove runs of a map that are neither among the last nor young.
+
+    Parameters
+    ----------
+    folder : MapFolder
+    keep : Retention
+    now : float
+        Seconds since 1970.
+    wanted : str or None
+        Key of what the map is now, unless it was set aside; its run stays, finished or not.
+    work_may_go_on : bool
+        Whether unfinished work of another key stays for `keep.days` as well: the map is gone,
+        perhaps because its disk is, and may come back.
+
+    Returns
+    -------
+    list of Path
+        What is gone. The last good result never is.
+    """
+    latest = folder.latest()
+    finished = folder.finished()
+    last = set(finished[-keep.runs :])
+    removed = []
+    for run in folder.runs():
+        is_young = keep.days is not None and now - begun(run) <= keep.days * _DAY
+        if run == latest or run in last or (wanted is not None and run.name.endswith(wanted)):
+            continue
+        if is_young and (is_finished(run) or work_may_go_on):
+            continue
+        if folder.remove(run):
+            removed.append(run)
+    return removed

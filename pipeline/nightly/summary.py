@@ -1,18 +1,30 @@
-"""What a night has to say: a line for each map, and all of them together."""
+"""The minutes of a night: a line for each map, on the disk at once, and the summary of all."""
 
 import json
+import logging
+import os
 from collections import Counter
 from datetime import UTC, datetime
 from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from pipeline.errors import NightlyError
+from pipeline.nightly.clock import Clock, Ending
+from pipeline.nightly.journal import Failure
+from pipeline.nightly.results import MapFolder, begun, report_page, run_report
+from pipeline.showing import only_showing, printable
+from pipeline.templates import render
 from tiling.atomic import atomic_file
+
+logger = logging.getLogger("dynahull")
 
 LINES_FILE = "nightly.jsonl"
 SUMMARY_FILE = "nightly.json"
+INDEX_FILE = "index.html"
 
 _EARLIER_LINES_FILE = f"{LINES_FILE}.1"
 
@@ -20,6 +32,10 @@ EXIT_WELL = 0
 EXIT_SOME_FAILED = 4
 EXIT_LOCKED = 75
 EXIT_SIGNALLED = 130
+
+_INDEX_TITLE = "dynahull-pipeline: night of "
+
+_MINUTE = "%Y-%m-%d %H:%M UTC"
 
 _LARGEST = 32 << 20
 """Bytes of `nightly.jsonl` before it is put aside as `nightly.jsonl.1`."""
@@ -131,8 +147,49 @@ class NightSummary(BaseModel):
         return f"{counts or 'no maps'}{why.get(self.ended, '')}"
 
 
-def is_summary(path: Path) -> bool:
-    """Tell whether a file is the summary of a night."""
+def write_index(folder: Path, summary: NightSummary) -> None:
+    """Replace the page to look at in the morning: what went wrong first, then the maps by name.
+
+    It opens from the disk and needs nothing else.
+    """
+    bad = (*FAILURES, MapOutcome.SET_ASIDE)
+    page = render(
+        "nightly/index.html",
+        title=_INDEX_TITLE,
+        night=f"{datetime.fromisoformat(summary.night):{_MINUTE}}",
+        summary=summary,
+        lines=sorted(summary.maps, key=lambda line: (line.outcome not in bad, line.map)),
+        bad=bad,
+        begun=lambda run: f"{datetime.fromtimestamp(begun(Path(run)), UTC):{_MINUTE}}",
+    )
+    with atomic_file(folder / INDEX_FILE) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def refuse_to_replace(output: Path) -> None:
+    """Refuse an output folder with files that nights replace and that none of them wrote.
+
+    Raises
+    ------
+    NightlyError
+    """
+    for name, is_own in ((INDEX_FILE, _is_index), (SUMMARY_FILE, _is_summary)):
+        path = output / name
+        if os.path.lexists(path) and not is_own(path):
+            raise NightlyError(f"{path}: there is a file that no night wrote; use another output")
+    lines = output / LINES_FILE
+    if os.path.lexists(lines) and (lines.is_symlink() or not lines.is_file()):
+        raise NightlyError(f"{lines}: expected a file of a night's, found a link or a folder")
+
+
+def _is_index(path: Path) -> bool:
+    try:
+        return f"<title>{_INDEX_TITLE}" in path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+
+
+def _is_summary(path: Path) -> bool:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -191,3 +248,122 @@ def put_long_file_aside(folder: Path) -> None:
     path = folder / LINES_FILE
     if path.is_file() and path.stat().st_size > _LARGEST:
         path.replace(folder / _EARLIER_LINES_FILE)
+
+
+class Minutes:
+    """Writes `nightly.jsonl` line by line, and `nightly.json` anew with every line.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of both.
+    clock : Clock
+    """
+
+    def __init__(self, output: Path, clock: Clock) -> None:
+        self._output, self._clock = output, clock
+        self._night = time_text(clock.now())
+        self._lines: dict[str, MapLine] = {}
+        self._problems: list[str] = []
+        put_long_file_aside(output)
+        self._write(self._summary(None, running=True))
+
+    def problems(self, messages: list[str]) -> None:
+        """Put down what could not be looked at, once each."""
+        for message in map(printable, messages):
+            if message not in self._problems:
+                self._problems.append(message)
+                logger.error(message)
+
+    def say(
+        self,
+        path: Path,
+        outcome: MapOutcome,
+        folder: MapFolder,
+        *,
+        reason: str | None = None,
+        attempts: int = 0,
+        seconds: float | None = None,
+    ) -> None:
+        """Put down what became of a map."""
+        line = self._line(path, outcome, folder, reason, attempts, seconds)
+        self._lines[str(path)] = line
+        append_line(self._output, line)
+        self._write(self._summary(None, running=True))
+        level = logging.WARNING if outcome in FAILURES else logging.INFO
+        why = f" ({printable(reason)})" if reason else ""
+        logger.log(level, "%s: %s%s", printable(path), outcome, why)
+
+    def mention(self, path: Path, outcome: MapOutcome, folder: MapFolder) -> None:
+        """Put a map into the summary alone, of which nothing new is to be said."""
+        self._lines.setdefault(str(path), self._line(path, outcome, folder))
+
+    def say_once(
+        self, path: Path, outcome: MapOutcome, folder: MapFolder, failure: Failure | None
+    ) -> None:
+        """Put down what became of a map, if nothing was said of it in this night."""
+        if str(path) in self._lines:
+            return
+        if outcome is MapOutcome.SET_ASIDE and failure is not None:
+            self.say(path, outcome, folder, reason=failure.reason, attempts=failure.attempts)
+        else:
+            self.say(path, outcome, folder)
+
+    def cleaned_earlier(self, path: Path, run: Path) -> None:
+        """Put down a result that a night finished which was killed before it could say so."""
+        if not was_cleaned(self._output, self._relative(run)):
+            self.say(path, MapOutcome.CLEANED, MapFolder(run.parent))
+        else:
+            logger.info("%s: cleaned %s", printable(path), time_text(begun(run)))
+
+    def close(self, ending: Ending | None) -> NightSummary:
+        """Write the summary of a night that has ended, and return it."""
+        summary = self._summary(ending, running=False)
+        self._write(summary)
+        logger.info(summary.to_text())
+        return summary
+
+    def _write(self, summary: NightSummary) -> None:
+        with only_showing(SUMMARY_FILE, logger.warning):
+            summary.write(self._output)
+
+    def _summary(self, ending: Ending | None, *, running: bool) -> NightSummary:
+        lines = sorted(self._lines.values(), key=lambda line: line.map)
+        return NightSummary(
+            version=version("dynahull-pipeline"),
+            night=self._night,
+            finished=None if running else time_text(self._clock.now()),
+            ended="running" if running else ending or "done",
+            exit_code=None if running else exit_code(lines, self._problems, ending == "signal"),
+            counts=count_outcomes(lines),
+            problems=self._problems,
+            maps=lines,
+        )
+
+    def _line(
+        self,
+        path: Path,
+        outcome: MapOutcome,
+        folder: MapFolder,
+        reason: str | None = None,
+        attempts: int = 0,
+        seconds: float | None = None,
+    ) -> MapLine:
+        latest = folder.latest()
+        report = run_report(latest) if latest is not None else {}
+        return MapLine(
+            night=self._night,
+            time=time_text(self._clock.now()),
+            map=str(path),
+            outcome=outcome,
+            reason=reason,
+            attempts=attempts,
+            run=self._relative(latest) if latest else None,
+            report=self._relative(report_page(latest)) if latest else None,
+            points=report.get("points"),
+            removed=report.get("counts", {}).get("dynamic"),
+            seconds=None if seconds is None else round(seconds, 1),
+        )
+
+    def _relative(self, path: Path) -> str:
+        return path.relative_to(self._output).as_posix()

@@ -1,59 +1,161 @@
-"""The charts that do not move: Eq. 1, densities of each cluster, seconds of each stage."""
+"""What the charts that do not move show; `assets/charts.html` draws them as SVG."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeGuard
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil, floor, isfinite, log10
+from typing import Self, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from pipeline.configuration.quantities import in_time
 from pipeline.outputs.map_sample import MapSample, magnitude
 from pipeline.outputs.run_report import ClusterReport
-from pipeline.report_page.amounts import Amounts
-from pipeline.report_page.svg import Axis, frame, picture, power_of_ten, short, text
+from pipeline.report_page.percentages import Percentages
 
 MOST_HISTOGRAMS = 12
 """Clusters whose densities are drawn, the largest first."""
 
-_MOST_DOTS = 2_000
+MOST_TILES = 50_000
+"""Tiles that are drawn; more would not be told apart."""
+
+_NAMED_TILES = 2_000
+"""Tiles that are drawn one by one, each with its numbers."""
+
+_SHADES = 6
 _BINS = 60
 
 
-def rescale_chart(clusters: Sequence[ClusterReport], removal: dict[str, Any]) -> str:
-    """Draw Eq. 1: R_i of each cluster over its N_i."""
-    counts = [cluster.count for cluster in clusters if cluster.count]
-    x = Axis(0, max(counts, default=1) * 1.05, 64, 470)
-    y = Axis(0, max(removal["max_percent"] * 1.15, 1), 250, 16)
-    low, high = removal["min_percent"], removal["max_percent"]
-    parts = [
-        frame(
+def short(value: float) -> str:
+    """Write a number as people read it on an axis: 1.2 k, 35 M."""
+    for size, unit in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if abs(value) >= size:
+            return f"{value / size:.3g}{unit}"
+    return f"{value:.3g}"
+
+
+def power_of_ten(exponent: float) -> str:
+    """Write 10 to a power as a number where that is short."""
+    return short(10.0**exponent) if -3 < exponent < 9 else f"1e{exponent:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A straight scale between two numbers, along some pixels.
+
+    Attributes
+    ----------
+    low, high : float
+        What is at the ends.
+    begin, end : float
+        Pixels of the ends.
+    title : str
+    write : callable
+        Writes a number beside the axis.
+    """
+
+    low: float
+    high: float
+    begin: float
+    end: float
+    title: str = ""
+    write: Callable[[float], str] = short
+
+    def at(self, value: float) -> float:
+        """Return the pixel of a value, to a tenth."""
+        span = (self.high - self.low) or 1.0
+        return round(self.begin + (value - self.low) / span * (self.end - self.begin), 1)
+
+    def ticks(self, count: int = 5) -> list[float]:
+        """Return about `count` round numbers on the axis."""
+        span = self.high - self.low
+        if span <= 0:
+            return [self.low]
+        rough = span / max(count, 1)
+        if not isfinite(rough):
+            raise ValueError(f"expected an axis of finite limits, found {self.low} to {self.high}")
+        size = 10.0 ** floor(log10(rough))
+        step = next(size * factor for factor in (1, 2, 5, 10) if size * factor >= rough * 0.999)
+        first, last = ceil(self.low / step - 1e-9), floor(self.high / step + 1e-9)
+        return [round(number * step, 12) for number in range(first, last + 1)]
+
+
+def equation_axes(clusters: Sequence[ClusterReport], most_percent: float) -> tuple[Axis, Axis]:
+    """Return the axes of Eq. 1: R_i of each cluster over its N_i."""
+    largest = max((cluster.count for cluster in clusters), default=0) or 1
+    return (
+        Axis(0, largest * 1.05, 64, 470, "N_i, points in the cluster"),
+        Axis(0, max(most_percent * 1.15, 1), 250, 16, "R_i, share removed, %", "{:g}".format),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DensityChart:
+    """The densities of a cluster, as a histogram.
+
+    Attributes
+    ----------
+    cluster : ClusterReport
+    x, y : Axis
+    kept, removed : str
+        Outlines of the bars; those that are kept stand on those that were removed.
+    threshold_at : float or None
+        Pixel of the run's threshold, where it is drawn.
+    cuts : str
+        Pixels of the cut at 0, 1 ... 100 %, by commas.
+    flat_percent : float
+        Share of the sampled points whose neighbourhood has no volume.
+    """
+
+    cluster: ClusterReport
+    x: Axis
+    y: Axis
+    kept: str
+    removed: str
+    threshold_at: float | None
+    cuts: str
+    flat_percent: float
+
+    @classmethod
+    def of(
+        cls,
+        sample: MapSample,
+        cluster: ClusterReport,
+        percentages: Percentages,
+        edges: NDArray[np.float64],
+    ) -> Self:
+        """Count the sampled points of a cluster between edges, scaled to the whole cluster."""
+        members = sample.cluster == cluster.index
+        density, labels = sample.density[members], sample.labels[members]
+        scale = cluster.count / max(len(density), 1)
+        finite = np.isfinite(density)
+        place = np.clip(magnitude(density[finite]), edges[0], edges[-1])
+        every, _ = np.histogram(place, edges)
+        gone, _ = np.histogram(place[labels[finite] == Label.DYNAMIC], edges)
+        x = Axis(edges[0], edges[-1], 58, 380, "density k / v, points per m³", power_of_ten)
+        y = Axis(0, max(every.max(initial=0) * scale * 1.12, 1), 170, 34, "points")
+        cuts = [
+            "" if np.isnan(cut) else f"{min(max(x.at(_magnitude(cut)), 58), 380):g}"
+            for cut in percentages.cuts[cluster.index]
+        ]
+        return cls(
+            cluster,
             x,
             y,
-            ("N_i, points in the cluster", "R_i, share removed, %"),
-            (short, lambda value: f"{value:g}"),
+            kept=_bars(x, y, edges, (every - gone) * scale, gone * scale),
+            removed=_bars(x, y, edges, gone * scale, np.zeros(len(gone))),
+            threshold_at=x.at(_magnitude(cluster.threshold))
+            if _is_drawn(cluster.threshold)
+            else None,
+            cuts=",".join(cuts),
+            flat_percent=100 * int(np.isposinf(density).sum()) / max(len(density), 1),
         )
-    ]
-    if counts and min(counts) < max(counts):
-        parts.append(
-            f'<path d="M{x.at(min(counts))} {y.at(low)}L{x.at(max(counts))} {y.at(high)}" '
-            'class="equation"/>'
-        )
-    for cluster in sorted(clusters, key=lambda each: -each.count)[:_MOST_DOTS]:
-        at_x, at_y = x.at(cluster.count), y.at(cluster.removal_percent)
-        parts.append(
-            f'<circle cx="{at_x}" cy="{at_y}" r="5" class="dot"><title>cluster {cluster.index}: '
-            f"{cluster.count:,} points, R_i = {cluster.removal_percent:.2f} %</title></circle>"
-        )
-        if len(clusters) <= MOST_HISTOGRAMS:
-            parts.append(text(at_x, at_y - 10, str(cluster.index), "note"))
-    return picture(490, 296, "Eq. 1: the share removed from each cluster, by its size", parts)
 
 
 def density_charts(
-    sample: MapSample, clusters: Sequence[ClusterReport], amounts: Amounts
-) -> list[str]:
-    """Draw the densities of the largest clusters, a chart each, on one scale."""
+    sample: MapSample, clusters: Sequence[ClusterReport], percentages: Percentages
+) -> list[DensityChart]:
+    """Return the densities of the largest clusters, on one scale; none where none was scored."""
     drawn = [cluster for cluster in clusters if cluster.count]
     drawn = sorted(drawn, key=lambda each: (-each.count, each.index))[:MOST_HISTOGRAMS]
     drawn.sort(key=lambda each: each.index)
@@ -64,7 +166,7 @@ def density_charts(
     thresholds = [_magnitude(each.threshold) for each in drawn if _is_drawn(each.threshold)]
     low, high = min([low, *thresholds]) - 0.05, max([high, *thresholds]) + 0.05
     edges = np.linspace(low, high, _BINS + 1)
-    return [_density_chart(sample, cluster, amounts, edges) for cluster in drawn]
+    return [DensityChart.of(sample, cluster, percentages, edges) for cluster in drawn]
 
 
 def _is_drawn(threshold: float | None) -> TypeGuard[float]:
@@ -75,80 +177,98 @@ def _magnitude(density: float) -> float:
     return float(magnitude(np.array([density]))[0])
 
 
-def _density_chart(
-    sample: MapSample, cluster: ClusterReport, amounts: Amounts, edges: NDArray[np.float64]
-) -> str:
-    members = sample.cluster == cluster.index
-    density, labels = sample.density[members], sample.labels[members]
-    scale = cluster.count / max(len(density), 1)
-    finite = np.isfinite(density)
-    place = np.clip(magnitude(density[finite]), edges[0], edges[-1])
-    every, _ = np.histogram(place, edges)
-    gone, _ = np.histogram(place[labels[finite] == Label.DYNAMIC], edges)
-    x = Axis(edges[0], edges[-1], 58, 380)
-    y = Axis(0, max(every.max(initial=0) * scale * 1.12, 1), 170, 34)
-    parts = [
-        frame(x, y, ("density k / v, points per m³", "points"), (power_of_ten, short)),
-        text(58, 16, f"Cluster {cluster.index}", "heading", "start"),
-        text(
-            380,
-            16,
-            f"N_i {cluster.count:,} \u00b7 R_i {cluster.removal_percent:.2f} % \u00b7 "
-            f"removed {cluster.removed:,}",
-            "note",
-            "end",
-        ),
-        _bars(x, y, edges, (every - gone) * scale, gone * scale, "static"),
-        _bars(x, y, edges, gone * scale, np.zeros(len(gone)), "removed"),
-    ]
-    if _is_drawn(cluster.threshold):
-        at = x.at(_magnitude(cluster.threshold))
-        parts.append(f'<path d="M{at} 170V28" class="threshold"/>')
-        anchor = "start" if at < 250 else "end"
-        beside = at + 5 if at < 250 else at - 5
-        parts.append(text(beside, 32, f"threshold {cluster.threshold:.4g}", "note", anchor))
-    cuts = amounts.cuts[cluster.index]
-    places = [None if np.isnan(cut) else min(max(x.at(_magnitude(cut)), 58), 380) for cut in cuts]
-    listed = ",".join("" if place is None else f"{place:g}" for place in places)
-    parts.append(f'<path d="M0 0" class="cut" data-places="{listed}" data-line="170 34"/>')
-    flat = int(np.count_nonzero(np.isposinf(density)))
-    if flat:
-        note = f"about {100 * flat / len(density):.2g} % without volume"
-        parts.append(text(380, 46, note, "note", "end"))
-    return picture(396, 210, f"Densities of cluster {cluster.index}", parts)
-
-
 def _bars(
     x: Axis,
     y: Axis,
     edges: NDArray[np.float64],
     heights: NDArray[np.float64],
     bases: NDArray[np.float64],
-    kind: str,
 ) -> str:
-    """Draw bars that stand on others."""
+    """Return the outline of bars that stand on others."""
     path = []
     for low, high, height, base in zip(edges[:-1], edges[1:], heights, bases, strict=True):
         if height:
             top, bottom = y.at(height + base), y.at(base)
             path.append(f"M{x.at(low)} {bottom}V{top}H{x.at(high)}V{bottom}z")
-    return f'<path d="{"".join(path)}" class="{kind}"/>'
+    return "".join(path)
 
 
-def stage_chart(seconds: Mapping[str, float]) -> str:
-    """Draw the wall time of each stage."""
-    total = sum(seconds.values())
-    height = 26 * len(seconds) + 8
-    x = Axis(0, max([*seconds.values(), 1e-3]), 96, 380)
-    parts = []
-    for number, (stage, value) in enumerate(seconds.items()):
-        top = 26 * number + 6
-        share = f" ({100 * value / total:.0f} %)" if total else ""
-        parts.append(text(88, top + 14, stage, "tick", "end"))
-        parts.append(
-            f'<rect x="96" y="{top}" width="{max(x.at(value) - 96, 1):.1f}" height="18" '
-            'class="bar"/>'
-        )
-        written = f"{value:.2f} s" if value < 120 else in_time(value)
-        parts.append(text(x.at(value) + 6, top + 14, written + share, "note", "start"))
-    return picture(490, height, "Wall time of each stage", parts)
+@dataclass(frozen=True, slots=True)
+class TileWork:
+    """What the tiles of a run took.
+
+    Attributes
+    ----------
+    low, high : (T, 2) float64 arrays
+        Cores, metres.
+    points : (T,) int64 array
+        In each core.
+    seconds : (T,) float64 array
+        Of all tasks about the tile, on its worker.
+    resumed : (T,) bool array
+        Whether the densities were found by an earlier run, which did not end.
+    overfull : (T,) bool array
+        Whether a tile holds more points than wanted, being a single column of the lattice.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    points: NDArray[np.int64]
+    seconds: NDArray[np.float64]
+    resumed: NDArray[np.bool_]
+    overfull: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, slots=True)
+class TileChart:
+    """The cores of the tiles seen from above, coloured by the time that they took.
+
+    Attributes
+    ----------
+    work : TileWork
+    x, y : Axis
+    limits : list of float
+        Seconds at the ends of the shades, one more than there are shades.
+    shades : list of int
+        Of each tile.
+    by_shade : list of str
+        Where tiles are too many to be named, the outline of all those of each shade.
+    """
+
+    work: TileWork
+    x: Axis
+    y: Axis
+    limits: list[float]
+    shades: list[int]
+    by_shade: list[str]
+
+    @classmethod
+    def of(cls, work: TileWork) -> Self | None:
+        """Lay out the tiles; None where there are none, or too many to be drawn."""
+        if not 0 < len(work) <= MOST_TILES:
+            return None
+        low, high = np.nan_to_num(work.low), np.nan_to_num(work.high)
+        least, most = low.min(axis=0), high.max(axis=0)
+        width, height = np.maximum(most - least, 1e-9).tolist()
+        scale = min(400 / width, 340 / height)
+        written = "{:,.10g}".format
+        x = Axis(least[0], most[0], 70, 70 + width * scale, "x, m", written)
+        y = Axis(least[1], most[1], 12 + height * scale, 12, "y, m", written)
+        limits = np.linspace(0, max(float(work.seconds.max(initial=0)), 1e-3), _SHADES + 1)
+        found = np.searchsorted(limits, work.seconds, side="left") - 1
+        shades = np.clip(found, 0, _SHADES - 1)
+        by_shade = []
+        if len(work) > _NAMED_TILES:
+            corners = zip(work.low.tolist(), work.high.tolist(), strict=True)
+            paths = np.array(
+                [
+                    f"M{x.at(x0)} {y.at(y0)}V{y.at(y1)}H{x.at(x1)}V{y.at(y0)}z"
+                    for (x0, y0), (x1, y1) in corners
+                ],
+                dtype=object,
+            )
+            by_shade = ["".join(paths[shades == shade]) for shade in range(_SHADES)]
+        return cls(work, x, y, limits.tolist(), shades.tolist(), by_shade)

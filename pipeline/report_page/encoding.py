@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.outputs.map_sample import MapSample, magnitude
-from pipeline.report_page.amounts import NEVER, Amounts
+from pipeline.report_page.percentages import NEVER, Percentages
 
-AMOUNT_CODES = 600
+PERCENT_CODES = 600
 """Codes for each percent of the slider."""
 
 NEVER_CODE = 65_535
@@ -42,13 +42,13 @@ class EncodedSample:
     facts: dict[str, Any]
 
 
-def encode(sample: MapSample, amounts: Amounts) -> EncodedSample:
+def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
     """Encode a sample.
 
     Parameters
     ----------
     sample : MapSample
-    amounts : Amounts
+    percentages : Percentages
         Of the same points.
     """
     low, high = view_bounds(sample.xyz)
@@ -58,7 +58,7 @@ def encode(sample: MapSample, amounts: Amounts) -> EncodedSample:
     density, density_range = _density_codes(sample.density[shown])
     arrays = {
         "places": places.astype("<u2"),
-        "amounts": _amount_codes(amounts)[shown],
+        "percentages": _percentage_codes(percentages)[shown],
         "labels": _labels(sample.labels[shown]),
         "clusters": (sample.cluster[shown] % 250).astype(np.uint8),
         "densities": density,
@@ -70,10 +70,10 @@ def encode(sample: MapSample, amounts: Amounts) -> EncodedSample:
         "total": sample.total,
         "low": low.tolist(),
         "span": span.tolist(),
-        "own": amounts.own,
-        "own_code": _own_code(amounts.own),
+        "own": percentages.own,
+        "own_code": _own_code(percentages.own),
         "density_range": density_range,
-        "margin": amounts.margin,
+        "margin": percentages.margin,
     }
     encoded = {name: base64.b64encode(array.tobytes()).decode() for name, array in arrays.items()}
     return EncodedSample(encoded, facts)
@@ -98,22 +98,22 @@ def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _own_code(own: float) -> int:
-    return round(own * AMOUNT_CODES)
+    return round(own * PERCENT_CODES)
 
 
-def _amount_codes(amounts: Amounts) -> NDArray[np.uint16]:
-    """Round amounts, so that what the run removed is at or below its own code, and nothing else."""
-    own = _own_code(amounts.own)
-    codes = np.full(len(amounts.removed_from), NEVER_CODE, "<u2")
-    known = amounts.removed_from < NEVER
-    code = np.rint(amounts.removed_from[known] * AMOUNT_CODES)
-    removed = amounts.removed_from[known] <= amounts.own
+def _percentage_codes(percentages: Percentages) -> NDArray[np.uint16]:
+    """Round percentages, so that just what the run removed is at or below its own code."""
+    own = _own_code(percentages.own)
+    codes = np.full(len(percentages.removed_from), NEVER_CODE, "<u2")
+    known = percentages.removed_from < NEVER
+    code = np.rint(percentages.removed_from[known] * PERCENT_CODES)
+    removed = percentages.removed_from[known] <= percentages.own
     codes[known] = np.where(removed, np.minimum(code, own), np.maximum(code, own + 1))
     return codes
 
 
 def _labels(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return labels of which the amount decides between static and dynamic."""
+    """Return labels of which the percentage decides between static and dynamic."""
     return np.where(labels == Label.DYNAMIC, np.uint8(Label.STATIC), labels).astype(np.uint8)
 
 

@@ -7,15 +7,16 @@ queue, and machines drive. `simulate` gathers its scans into one map, as SLAM wo
 """
 
 from pipeline.simulation.campus import SimulatedMap, simulate, simulate_scans
-from pipeline.simulation.choice import load_simulation
+from pipeline.simulation.meshes.parameters import load_simulation
 from pipeline.simulation.output import SimulationFiles, write_simulation
 from pipeline.simulation.parameters import SimulationParameters
+from pipeline.simulation.points import Points
 from pipeline.simulation.scene import SceneKind
 from pipeline.simulation.shapes import Surface
-from pipeline.simulation.simulate import Returns, SimulatedScan, build_scene
+from pipeline.simulation.simulate import SimulatedScan, build_scene
 
 __all__ = [
-    "Returns",
+    "Points",
     "SceneKind",
     "SimulatedMap",
     "SimulatedScan",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.parameters import POINTS_OF_A_BLOCK, RINGS, SimulationParameters
+from pipeline.simulation.points import Points
 from pipeline.simulation.scene import Scene
 from pipeline.simulation.simulate import Drive, SimulatedScan, Stream
 
@@ -70,18 +71,15 @@ def simulate(parameters: SimulationParameters) -> SimulatedMap:
         The same, bit for bit, for the same parameters.
     """
     scans = list(simulate_scans(parameters))
-    returns = [scan.returns for scan in scans]
+    points = Points.joined([scan.returns for scan in scans])
     return SimulatedMap(
         parameters=parameters,
-        xyz=np.concatenate([part.xyz for part in returns]).astype(np.float32),
-        intensity=np.concatenate([part.intensity for part in returns]),
-        time=np.concatenate([part.time for part in returns]),
-        scan=np.repeat(
-            np.array([scan.number for scan in scans], dtype=np.uint32),
-            [len(part) for part in returns],
-        ),
-        moving=np.concatenate([part.moving for part in returns]).astype(np.uint8),
-        surface=np.concatenate([part.surface for part in returns]),
+        xyz=points.xyz.astype(np.float32),
+        intensity=points.intensity,
+        time=points.time,
+        scan=points.scan.astype(np.uint32),
+        moving=points.moving.astype(np.uint8),
+        surface=points.surface,
         true_poses=np.stack([scan.true_pose for scan in scans]),
         estimated_poses=np.stack([scan.estimated_pose for scan in scans]),
     )

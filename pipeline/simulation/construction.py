@@ -27,14 +27,14 @@ class Opening:
     glazed: bool
 
 
-def door(start: float, width: float = 1.0) -> Opening:
-    """Return an open door."""
-    return Opening(start, start + width, 0.0, DOOR_HEIGHT, glazed=False)
+def door(start: float) -> Opening:
+    """Return an open door, 1 m wide."""
+    return Opening(start, start + 1.0, 0.0, DOOR_HEIGHT, glazed=False)
 
 
-def passage(start: float, end: float, top: float = 2.5) -> Opening:
+def passage(start: float, end: float) -> Opening:
     """Return a wide way through without a door."""
-    return Opening(start, end, 0.0, top, glazed=False)
+    return Opening(start, end, 0.0, 2.5, glazed=False)
 
 
 def window(start: float, end: float) -> Opening:

@@ -127,13 +127,31 @@ def route_points(route: NDArray[np.float64], *, closed: bool = True) -> NDArray[
     return np.concatenate([*pieces, corners[-1:, :2]])
 
 
-def walkway_points(walkways: Walkways) -> list[tuple[NDArray[np.float64], float]]:
-    """Return points along each way, and the room that people need there."""
-    points = []
+def ways_of(
+    walkways: Walkways, robot_route: NDArray[np.float64], *more: tuple[NDArray[np.float64], float]
+) -> list[tuple[NDArray[np.float64], float]]:
+    """Return points along all ways, and the room that each needs to either side.
+
+    Parameters
+    ----------
+    walkways : Walkways
+    robot_route : (m, 3) float64 array
+        Closed, as all of `more` are.
+    *more : (m, 3) float64 array, float
+        Further routes, and the room that each needs.
+    """
+    ways = [(route_points(route), room) for route, room in ((robot_route, ROBOT_MARGIN), *more)]
     for here, onward in zip(walkways.places, walkways.ways, strict=True):
         for place in onward:
             there = walkways.places[place]
             corners = np.array([(here.x, here.y), (there.x, there.y)])
             margin = PERSON_MARGIN + np.sqrt(2) * max(here.freedom, there.freedom)
-            points.append((route_points(corners, closed=False), margin))
-    return points
+            ways.append((route_points(corners, closed=False), margin))
+    return ways
+
+
+def queue_way(
+    queue: NDArray[np.float64], queue_return: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """Return the round of those who queue, and the room that they need."""
+    return np.concatenate([queue, queue_return[::-1]]), QUEUE_MARGIN

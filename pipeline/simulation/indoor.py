@@ -16,14 +16,12 @@ from pipeline.simulation.furnishing import (
     MACHINE_MARGIN,
     MEETING_TABLE,
     PLANT,
-    QUEUE_MARGIN,
-    ROBOT_MARGIN,
     SEATS,
     TABLE,
     Furnisher,
     Room,
-    route_points,
-    walkway_points,
+    queue_way,
+    ways_of,
 )
 from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
 
@@ -106,16 +104,8 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
 
     builder = Builder(glass)
     _add_walls(builder, plan)
-    furnisher = Furnisher(
-        builder,
-        random,
-        [
-            (route_points(robot_route), ROBOT_MARGIN),
-            (route_points(machine_route), MACHINE_MARGIN),
-            (route_points(np.concatenate([queue, queue_return[::-1]])), QUEUE_MARGIN),
-            *walkway_points(walkways),
-        ],
-    )
+    rounds = ((machine_route, MACHINE_MARGIN), queue_way(queue, queue_return))
+    furnisher = Furnisher(builder, random, ways_of(walkways, robot_route, *rounds))
     _furnish_hall(builder, furnisher, plan, random)
     _furnish_rooms(furnisher, plan, random)
     scene = Scene(

@@ -1,5 +1,6 @@
-"""How the robot, people and machines move: poses at given times, and straight lines between them.
+"""How the robot, people and machines move, and where a robot is believed to be.
 
+Movers have poses at given times, and straight lines between them.
 A pose is x, y and z in metres, the heading in radians, and the slope: the rise over the distance
 ahead.
 """
@@ -9,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.simulation.parameters import SimulationParameters
+
 TURN_RATE = np.radians(90.0)
 """How fast the robot turns on the spot, in radians per second."""
 
@@ -17,6 +20,9 @@ TILT_RATE = 0.2
 
 CLEARANCE = 0.9
 """How far people keep from the robot, axis to axis, in metres."""
+
+DRIFT_SECONDS = 10.0
+"""Time over which the error of the estimated pose is forgotten."""
 
 _STOREY = 2.0  # metres; nobody makes way for what is farther above or below
 
@@ -114,3 +120,59 @@ def keep_clear(
     moved = places.copy()
     moved[..., :2] += apart[..., :2] * np.maximum(0.0, clearance / distance - 1)[..., None]
     return moved
+
+
+def rotations(heading: NDArray[np.float64], slope: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n, 3, 3) rotations from the sensor's frame to the map's.
+
+    The sensor turns by its heading about z, after it was pitched up by the slope ahead.
+    """
+    cosine, sine = np.cos(heading), np.sin(heading)
+    level = 1 / np.sqrt(1 + slope**2)
+    rise = slope * level
+    zero = np.zeros_like(cosine)
+    rows = [
+        [cosine * level, -sine, -cosine * rise],
+        [sine * level, cosine, -sine * rise],
+        [rise, zero, level],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def pose_matrix(position: NDArray[np.float64], heading: float, slope: float) -> NDArray[np.float64]:
+    """Return the (3, 4) transform from the sensor's frame to the map's."""
+    (rotation,) = rotations(np.array([heading]), np.array([slope]))
+    return np.column_stack([rotation, position])
+
+
+def to_map(pose: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take (n, 3) points from the sensor's frame to the map's."""
+    return points @ pose[:, :3].T + pose[:, 3]
+
+
+def to_sensor(pose: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take (n, 3) points from the map's frame to the sensor's."""
+    return (points - pose[:, 3]) @ pose[:, :3]
+
+
+class Drift:
+    """The error of the estimated pose, scan after scan.
+
+    An Ornstein-Uhlenbeck process from 0: the error wanders, and loop closures hold it near 0, so
+    that a wall seen several times becomes thicker and not two walls.
+    """
+
+    def __init__(self, parameters: SimulationParameters, random: np.random.Generator) -> None:
+        self._deviation = np.array(
+            [parameters.drift_position] * 3 + [np.radians(parameters.drift_heading)]
+        )
+        self._kept = float(np.exp(-parameters.scan_interval / DRIFT_SECONDS))
+        self._random = random
+        self._error = np.zeros(4)
+
+    def step(self) -> NDArray[np.float64]:
+        """Return the error of the next scan: x, y and z in metres, heading in radians."""
+        error = self._error
+        new = self._random.normal(size=4) * self._deviation * np.sqrt(1 - self._kept**2)
+        self._error = self._kept * error + new
+        return error

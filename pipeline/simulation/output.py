@@ -4,31 +4,35 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation.campus import simulate_scans
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.points import Points
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.products import (
-    PointCloudFile,
-    PoseFiles,
-    TruthFile,
-    point_records,
-    write_point_cloud,
-)
-from pipeline.simulation.simulate import Returns, SimulatedScan
-from tiling.output_file import writing_only_into
+from pipeline.simulation.points import Points
+from pipeline.simulation.products import point_cloud_file, truth_file, write_row
+from pipeline.simulation.simulate import SimulatedScan
+from tiling.output_file import create_file, writing_only_into
 
 _STAGING = ".simulation-partial"
 _SCAN_DIGITS = 6
+_FILE_NAMES = {
+    "map": "map.pcd",
+    "truth": "truth.parquet",
+    "poses": "poses.txt",
+    "true_poses": "poses_true.txt",
+    "times": "times.txt",
+    "parameters": "simulation.yaml",
+    "scans": "scans",
+    "static_truth": "static_truth.pcd",
+    "low_activity": "low_activity.pcd",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,24 +74,12 @@ class SimulationFiles:
     @classmethod
     def in_folder(cls, folder: Path) -> "SimulationFiles":
         """Return the files' places in a folder."""
-        return cls(
-            map=folder / "map.pcd",
-            truth=folder / "truth.parquet",
-            poses=folder / "poses.txt",
-            true_poses=folder / "poses_true.txt",
-            times=folder / "times.txt",
-            parameters=folder / "simulation.yaml",
-            scans=folder / "scans",
-            static_truth=folder / "static_truth.pcd",
-            low_activity=folder / "low_activity.pcd",
-        )
+        return cls(**{name: folder / file for name, file in _FILE_NAMES.items()})
 
     def besides_map(self) -> tuple[Path, ...]:
         """Return every file but the map and the scans."""
-        return (
-            self.truth, self.poses, self.true_poses, self.times, self.parameters,
-            self.static_truth, self.low_activity,
-        )  # fmt: skip
+        names = (name for name in _FILE_NAMES if name not in ("map", "scans"))
+        return tuple(getattr(self, name) for name in names)
 
 
 def write_simulation(
@@ -154,31 +146,29 @@ class _Map:
     """A map and its truth: written as a stream, or at the end through the map's voxel filter."""
 
     def __init__(
-        self, parameters: SimulationParameters | MeshParameters, cloud: PointCloudFile,
-        truth: TruthFile | None,
-    ) -> None:  # fmt: skip
+        self,
+        parameters: SimulationParameters | MeshParameters,
+        *writers: Callable[[Points], None],
+    ) -> None:
         self._voxel = parameters.voxel if isinstance(parameters, MeshParameters) else 0.0
-        self._cloud = cloud
-        self._truth = truth
+        self._writers = writers
         self._waiting: list[Points] = []
 
-    def append(self, returns: Returns, number: int) -> None:
+    def append(self, points: Points) -> None:
         """Append the points of a scan."""
         if self._voxel:
-            self._waiting.append(Points.of_scan(returns, number))
+            self._waiting.append(points)
         else:
-            self._write(returns, number)
+            self._write(points)
 
     def finish(self) -> None:
         """Filter what waits, and write it."""
         if self._waiting:
-            points = Points.joined(self._waiting).filtered(self._voxel)
-            self._write(points.returns(), points.scan)
+            self._write(Points.joined(self._waiting).filtered(self._voxel))
 
-    def _write(self, returns: Returns, scan: int | NDArray[np.int32]) -> None:
-        self._cloud.append(point_records(returns.xyz, returns, scan))
-        if self._truth is not None:
-            self._truth.append(returns)
+    def _write(self, points: Points) -> None:
+        for write in self._writers:
+            write(points)
 
 
 def _write_drive(
@@ -190,24 +180,29 @@ def _write_drive(
     """Write all that comes from the drive itself."""
     known = isinstance(parameters, MeshParameters)
     with ExitStack() as stack:
-        cloud = stack.enter_context(PointCloudFile(files.map))
-        truth = stack.enter_context(TruthFile(files.truth, known=known))
-        poses = stack.enter_context(PoseFiles(files.poses, files.true_poses, files.times))
+        cloud = stack.enter_context(point_cloud_file(files.map))
+        truth = stack.enter_context(truth_file(files.truth, known=known))
+        poses, true_poses, times = (
+            stack.enter_context(create_file(path))
+            for path in (files.poses, files.true_poses, files.times)
+        )
         maps = [_Map(parameters, cloud, truth)]
         if not map_only:
             files.scans.mkdir()
-            static = stack.enter_context(PointCloudFile(files.static_truth))
-            maps.append(_Map(parameters, static, None))
+            maps.append(_Map(parameters, stack.enter_context(point_cloud_file(files.static_truth))))
         count = 0
         for scan in _scans(parameters, static=not map_only):
             returns = scan.returns
             count += len(returns)
             for kept, seen in zip(maps, (returns, scan.static_returns), strict=False):
-                kept.append(seen, scan.number)
-            poses.append(scan)
+                kept.append(seen)
+            write_row(poses, scan.estimated_pose)
+            write_row(true_poses, scan.true_pose)
+            write_row(times, np.array(scan.start))
             if not map_only:
-                own = point_records(scan.in_sensor_frame(), returns, scan.number)
-                write_point_cloud(files.scans / f"{scan.number:0{_SCAN_DIGITS}d}.pcd", own)
+                path = files.scans / f"{scan.number:0{_SCAN_DIGITS}d}.pcd"
+                with point_cloud_file(path) as append:
+                    append(replace(returns, xyz=scan.in_sensor_frame()))
             advance(len(returns))
         for kept in maps:
             kept.finish()
@@ -223,10 +218,10 @@ def _write_low_activity(
 ) -> None:
     """Write the map of a drive while hardly anybody is there."""
     quiet = parameters.low_activity()
-    with PointCloudFile(files.low_activity) as cloud:
-        kept = _Map(quiet, cloud, None)
+    with point_cloud_file(files.low_activity) as cloud:
+        kept = _Map(quiet, cloud)
         for scan in _scans(quiet, static=False):
-            kept.append(scan.returns, scan.number)
+            kept.append(scan.returns)
         kept.finish()
 
 

@@ -3,17 +3,18 @@
 What waits to be written is bounded; the number of points goes into the header at the end.
 """
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pipeline.simulation.points import Points
 from pipeline.simulation.shapes import Surface
-from pipeline.simulation.simulate import Returns, SimulatedScan
 from tiling.output_file import create_file
 
 POINT = np.dtype(
@@ -29,145 +30,80 @@ POINT = np.dtype(
 """A point in every file, in metres and seconds."""
 
 POINTS_IN_MEMORY = 250_000
-"""Points gathered before they are written."""
+"""Points whose truth is gathered before it is written."""
 
 _HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be written at the end
 
 
-def point_records(
-    xyz: NDArray[np.float64], returns: Returns, scan: int | NDArray[np.int32]
-) -> NDArray[np.void]:
-    """Return points as files hold them."""
-    records = np.empty(len(xyz), dtype=POINT)
-    records["x"], records["y"], records["z"] = xyz.T
-    records["intensity"], records["time"], records["scan"] = returns.intensity, returns.time, scan
-    return records
+@contextmanager
+def point_cloud_file(path: Path) -> Iterator[Callable[[Points], None]]:
+    """Write a binary PCD 0.7 file (the Point Cloud Library's format) as a stream.
 
+    Yields
+    ------
+    callable
+        Appends points.
+    """
+    count = 0
 
-class PointCloudFile:
-    """A binary PCD 0.7 file (the Point Cloud Library's format), written as a stream."""
-
-    def __init__(self, path: Path) -> None:
-        self._count = 0
-        self._waiting: list[NDArray[np.void]] = []
-        self._waiting_points = 0
-        self._file = create_file(path)
-        self._file.write(_pcd_header(0))
-
-    def append(self, records: NDArray[np.void]) -> None:
-        """Append points."""
-        self._waiting.append(records)
-        self._waiting_points += len(records)
-        if self._waiting_points >= POINTS_IN_MEMORY:
-            self._flush()
-
-    def _flush(self) -> None:
-        for records in self._waiting:
-            self._file.write(records.data)
-            self._count += len(records)
-        self._waiting, self._waiting_points = [], 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        with self._file:
-            if kind is None:
-                self._flush()
-                self._file.seek(0)
-                self._file.write(_pcd_header(self._count))
-
-
-def write_point_cloud(path: Path, records: NDArray[np.void]) -> None:
-    """Write a binary PCD file at once."""
-    with create_file(path) as file:
-        file.write(_pcd_header(len(records)))
+    def append(points: Points) -> None:
+        nonlocal count
+        records = np.empty(len(points), dtype=POINT)
+        records["x"], records["y"], records["z"] = points.xyz.T
+        for name in ("intensity", "time", "scan"):
+            records[name] = getattr(points, name)
         file.write(records.data)
+        count += len(points)
+
+    with create_file(path) as file:
+        file.write(_pcd_header(0))
+        yield append
+        file.seek(0)
+        file.write(_pcd_header(count))
 
 
-class TruthFile:
-    """Parquet, one row a point: `moving` (bool) and `surface` (dictionary), written as a stream.
+@contextmanager
+def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]:
+    """Write Parquet, one row a point, as a stream: `moving` (bool) and `surface` (dictionary).
 
     Parameters
     ----------
     path : Path
-    known : bool, optional
+    known : bool
         Write `known` (bool), too: whether `moving` can be told.
+
+    Yields
+    ------
+    callable
+        Appends what is true of points.
     """
+    columns = [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
+    schema = pa.schema([*columns, ("known", pa.bool_())] if known else columns)
+    titles = pa.array([surface.title for surface in Surface])
+    waiting: list[Points] = []
 
-    _TITLES = pa.array([surface.title for surface in Surface])
+    def append(points: Points) -> None:
+        waiting.append(points)
+        if sum(map(len, waiting)) >= POINTS_IN_MEMORY:
+            flush()
 
-    def __init__(self, path: Path, *, known: bool = False) -> None:
-        columns = [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
-        self._schema = pa.schema([*columns, ("known", pa.bool_())] if known else columns)
-        self._known = known
-        self._file = create_file(path)
-        self._writer = pq.ParquetWriter(self._file, self._schema)
-        self._waiting: list[Returns] = []
-        self._waiting_points = 0
-
-    def append(self, returns: Returns) -> None:
-        """Append what is true of the points of a scan."""
-        self._waiting.append(returns)
-        self._waiting_points += len(returns)
-        if self._waiting_points >= POINTS_IN_MEMORY:
-            self._flush()
-
-    def _flush(self) -> None:
-        if not self._waiting_points:
+    def flush() -> None:
+        if not sum(map(len, waiting)):
             return
-        surface = np.concatenate([returns.surface for returns in self._waiting])
-        columns = [
-            pa.array(np.concatenate([returns.moving for returns in self._waiting])),
-            pa.DictionaryArray.from_arrays(pa.array(surface), self._TITLES),
-        ]
-        if self._known:
-            columns.append(pa.array(np.concatenate([part.known for part in self._waiting])))
-        self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema))
-        self._waiting, self._waiting_points = [], 0
+        points = Points.joined(waiting)
+        surface = pa.DictionaryArray.from_arrays(pa.array(points.surface), titles)
+        values = [pa.array(points.moving), surface, pa.array(points.known)]
+        writer.write_table(pa.Table.from_arrays(values[: len(schema)], schema=schema))
+        waiting.clear()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        with self._file:
-            if kind is None:
-                self._flush()
-            self._writer.close()
+    with create_file(path) as file, pq.ParquetWriter(file, schema) as writer:
+        yield append
+        flush()
 
 
-class PoseFiles:
-    """Poses of the scans, as the KITTI odometry benchmark has them, written as streams.
-
-    `poses.txt` (estimated) and `poses_true.txt`: one scan a line, the 3x4 matrix from the sensor's
-    frame to the map's, row by row. `times.txt`: the start of each scan, in seconds.
-    """
-
-    def __init__(self, poses: Path, true_poses: Path, times: Path) -> None:
-        self._files = [create_file(path) for path in (poses, true_poses, times)]
-
-    def append(self, scan: SimulatedScan) -> None:
-        """Append the poses of a scan."""
-        rows = (scan.estimated_pose.ravel(), scan.true_pose.ravel(), np.array([scan.start]))
-        for file, row in zip(self._files, rows, strict=True):
-            file.write((" ".join(f"{value:.9f}" for value in row) + "\n").encode())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        for file in self._files:
-            file.close()
+def write_row(file: BinaryIO, values: NDArray[np.float64]) -> None:
+    """Write numbers in a line, as the KITTI odometry benchmark has poses and times."""
+    np.savetxt(file, np.reshape(values, (1, -1)), "%.9f")
 
 
 def _pcd_header(points: int) -> bytes:

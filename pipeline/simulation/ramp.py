@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 from pipeline.simulation.construction import Builder, glass_wall, window
 from pipeline.simulation.furnishing import (
     MACHINE_MARGIN,
-    QUEUE_MARGIN,
-    ROBOT_MARGIN,
     TABLE,
     Furnisher,
     Piece,
     Room,
-    route_points,
-    walkway_points,
+    queue_way,
+    ways_of,
 )
 from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
 from pipeline.simulation.shapes import Surface
@@ -72,13 +70,8 @@ def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     queue_return = on_floor([(15.5, 5.4), (10.9, 5.4)])
     builder = Builder(glass)
     _add_hall(builder)
-    ways = [
-        (route_points(robot_route), ROBOT_MARGIN),
-        (route_points(machine_route), MACHINE_MARGIN),
-        (route_points(np.concatenate([queue, queue_return[::-1]])), QUEUE_MARGIN),
-        *walkway_points(walkways),
-    ]
-    furnisher = Furnisher(builder, random, ways)
+    rounds = ((machine_route, MACHINE_MARGIN), queue_way(queue, queue_return))
+    furnisher = Furnisher(builder, random, ways_of(walkways, robot_route, *rounds))
     furnisher.take((_FOOT - 1.0, _EDGE), (_RAMP[0] - 0.2, _RAMP[1] + 0.2))
     builder.cabinet((16.2, 16.8), (2.8, 5.2), 1.05)
     furnisher.take((16.2, 16.8), (2.8, 5.2))

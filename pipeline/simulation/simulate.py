@@ -8,10 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.indoor import indoor_scene
-from pipeline.simulation.motion import Trajectory, drive
+from pipeline.simulation.motion import (
+    Drift,
+    Trajectory,
+    drive,
+    pose_matrix,
+    rotations,
+    to_map,
+    to_sensor,
+)
 from pipeline.simulation.movers import Movers, populate
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.poses import Drift, pose_matrix, rotations, to_map, to_sensor
+from pipeline.simulation.points import Points
 from pipeline.simulation.ramp import ramp_scene
 from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
 from pipeline.simulation.scene import Scene, SceneKind
@@ -38,48 +46,6 @@ class Stream(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Returns:
-    """n points of one scan.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-        In the map's frame, placed by the estimated pose, in metres.
-    intensity : (n,) float32 array
-        Calibrated reflectivity, 0 to 255.
-    time : (n,) float64 array
-        In seconds, ascending.
-    surface : (n,) uint8 array
-        `Surface` each point lies on.
-    moving : (n,) bool array
-        Whether each point lies on something that moves: a ghost.
-    known : (n,) bool array, optional
-        Whether that can be told honestly, of scenes where it cannot always be.
-    """
-
-    xyz: NDArray[np.float64]
-    intensity: NDArray[np.float32]
-    time: NDArray[np.float64]
-    surface: NDArray[np.uint8]
-    moving: NDArray[np.bool_]
-    known: NDArray[np.bool_] | None = None
-
-    def __len__(self) -> int:
-        return len(self.surface)
-
-    def first(self, count: int) -> "Returns":
-        """Return the first points only."""
-        return Returns(
-            self.xyz[:count],
-            self.intensity[:count],
-            self.time[:count],
-            self.surface[:count],
-            self.moving[:count],
-            None if self.known is None else self.known[:count],
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class SimulatedScan:
     """One scan, free of motion distortion, as after perfect deskewing.
 
@@ -89,9 +55,9 @@ class SimulatedScan:
         In the order of the map, from 0.
     start : float
         When the rotation began, in seconds.
-    returns : Returns
+    returns : Points
         What the sensor saw.
-    static_returns : Returns
+    static_returns : Points
         What it would have seen at the same time, with the same noise and drift, had nothing moved
         been there.
     true_pose, estimated_pose : (3, 4) float64 array
@@ -100,8 +66,8 @@ class SimulatedScan:
 
     number: int
     start: float
-    returns: Returns
-    static_returns: Returns
+    returns: Points
+    static_returns: Points
     true_pose: NDArray[np.float64]
     estimated_pose: NDArray[np.float64]
 
@@ -111,15 +77,21 @@ class SimulatedScan:
 
     def first(self, count: int) -> "SimulatedScan":
         """Return the scan as if it had ended after so many points."""
-        returns = self.returns.first(count)
+        returns = self.returns.take(slice(count))
         seen = np.searchsorted(self.static_returns.time, returns.time[-1], side="right")
-        return replace(self, returns=returns, static_returns=self.static_returns.first(int(seen)))
+        static_returns = self.static_returns.take(slice(int(seen)))
+        return replace(self, returns=returns, static_returns=static_returns)
 
     def moved(self, number: int, seconds: float, metres: NDArray[np.float64]) -> "SimulatedScan":
         """Return the scan as one of a later number, later by `seconds`, elsewhere by `metres`."""
 
-        def shifted(returns: Returns) -> Returns:
-            return replace(returns, xyz=returns.xyz + metres, time=returns.time + seconds)
+        def shifted(points: Points) -> Points:
+            return replace(
+                points,
+                xyz=points.xyz + metres,
+                time=points.time + seconds,
+                scan=points.scan + np.int32(number),
+            )
 
         offset = np.column_stack([np.zeros((3, 3)), metres])
         return SimulatedScan(
@@ -234,16 +206,18 @@ class Drive:
         true_pose = pose_matrix(eyes[-1], robot[-1, 3], robot[-1, 4])
         estimated_pose = pose_matrix(eyes[-1] + error[:3], robot[-1, 3] + error[3], robot[-1, 4])
 
-        def returns(hits: Hits, ghost: NDArray[np.bool_]) -> Returns:
+        def returns(hits: Hits, ghost: NDArray[np.bool_]) -> Points:
             ranges = measured_ranges(hits.distance, range_noise, parameters)
             returned = np.isfinite(ranges)
             seen = origins[returned] + ranges[returned, None] * directions[returned]
-            return Returns(
+            return Points(
                 xyz=to_map(estimated_pose, to_sensor(true_pose, seen)),
                 intensity=intensities(hits.surface[returned], intensity_noise[returned]),
                 time=times[turn.firings[returned]],
                 surface=hits.surface[returned],
                 moving=ghost[returned],
+                known=np.ones(len(seen), np.bool_),
+                scan=np.full(len(seen), number, np.int32),
             )
 
         ghosts = moving.distance < still.distance

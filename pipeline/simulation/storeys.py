@@ -12,13 +12,11 @@ from pipeline.simulation.furnishing import (
     MACHINE_MARGIN,
     PILLAR,
     PLANT,
-    QUEUE_MARGIN,
-    ROBOT_MARGIN,
     SEATS,
     Furnisher,
     Room,
-    route_points,
-    walkway_points,
+    queue_way,
+    ways_of,
 )
 from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
 from pipeline.simulation.shapes import Surface
@@ -57,18 +55,13 @@ def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     queue_return = on_floor([(27.8, 19.0), (27.8, 14.4)])
     builder = Builder(glass)
     _add_building(builder)
-    upstairs = [(route_points(robot_route), ROBOT_MARGIN), *walkway_points(walkways)]
-    downstairs = [
-        *upstairs,
-        (route_points(machine_route), MACHINE_MARGIN),
-        (route_points(np.concatenate([queue, queue_return[::-1]])), QUEUE_MARGIN),
-    ]
-    furnisher = Furnisher(builder, random, downstairs)
+    rounds = ((machine_route, MACHINE_MARGIN), queue_way(queue, queue_return))
+    furnisher = Furnisher(builder, random, ways_of(walkways, robot_route, *rounds))
     builder.cabinet((25.5, 27.4), (19.7, 20.3), 1.05)
     furnisher.take((25.5, 27.4), (19.7, 20.3))
     _furnish(furnisher, random)
     with builder.on(STOREY):
-        _furnish(Furnisher(builder, random, upstairs), random)
+        _furnish(Furnisher(builder, random, ways_of(walkways, robot_route)), random)
     scene = Scene(
         shapes=builder.shapes(),
         walkways=walkways,

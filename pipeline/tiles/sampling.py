@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from dynahull.result import NO_CLUSTER
 from pipeline.outputs.map_sample import ARRAY_NAMES, MapSample, is_sampled
-from pipeline.report_page.tile_chart import TileWork
+from pipeline.report_page.charts import TileWork
 from pipeline.tiles.density import first_cluster
 from pipeline.tiles.ground import SHOWN_NAMES
 from pipeline.tiles.thresholds import ScoredPoints

@@ -19,7 +19,7 @@ from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import OutputError
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.results import evaluate_files
+from pipeline.evaluation.report import evaluate_files
 from pipeline.outputs import folder as outputs
 from pipeline.outputs.folder import output_folder
 from pipeline.planning import plan_map, tile_map

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.configuration.run import load_configuration
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.results import evaluate_files
+from pipeline.evaluation.report import evaluate_files
 from pipeline.info import inspect_map
 from pipeline.planning import tile_map
 from pipeline.preview import WHOLE, preview

@@ -10,12 +10,12 @@ from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
 from pipeline.evaluation import evaluate
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.results import evaluate_files
+from pipeline.evaluation.report import evaluate_files
 from pipeline.plan import picture as plan_picture
 from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver, watching
+from pipeline.report_page.charts import Axis
 from pipeline.report_page.page import Views
-from pipeline.report_page.svg import Axis
 from pipeline.run import run
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
 

@@ -19,7 +19,7 @@ from pipeline.simulation import (
     simulate,
     simulate_scans,
 )
-from pipeline.simulation.poses import Drift
+from pipeline.simulation.motion import Drift
 from pipeline.simulation.sensor import RING_ELEVATIONS, measured_ranges, rotation
 from pipeline.simulation.simulate import Drive
 

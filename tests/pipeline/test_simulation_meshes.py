@@ -17,11 +17,11 @@ from pipeline.simulation.meshes import (
 )
 from pipeline.simulation.meshes.mesh import boxes, tubes
 from pipeline.simulation.meshes.people import Postures, draw_bodies, people_mesh
-from pipeline.simulation.meshes.points import Points
 from pipeline.simulation.meshes.raycasting import Caster, Target, open3d
 from pipeline.simulation.meshes.sensors import elevation_range, sweep
 from pipeline.simulation.meshes.simulate import Recording
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
+from pipeline.simulation.points import Points
 from pipeline.simulation.shapes import Surface
 
 try:
@@ -42,19 +42,19 @@ def test_each_scene_is_seen_by_each_sensor(kind):
             SMALL.model_copy(update={"kind": kind, "sensor": sensor, "scans": 3, "seed": number})
         )
         assert len(made.points) > 300, sensor
-        assert np.isfinite(made.xyz).all()
-        assert made.known.mean() > 0.5
+        assert np.isfinite(made.points.xyz).all()
+        assert made.points.known.mean() > 0.5
         assert made.poses.shape == made.true_poses.shape == (3, 3, 4)
-        assert set(made.scan) == {0, 1, 2}
+        assert set(made.points.scan) == {0, 1, 2}
 
 
 @with_open3d
 def test_the_same_parameters_give_the_same_map_and_another_seed_another():
     first, second = simulate_meshes(SMALL), simulate_meshes(SMALL)
-    for name in ("xyz", "moved", "known", "scan", "time"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    for name in ("xyz", "moving", "known", "scan", "time"):
+        np.testing.assert_array_equal(getattr(first.points, name), getattr(second.points, name))
     other = simulate_meshes(SMALL.model_copy(update={"seed": 4}))
-    assert len(other.points) != len(first.points) or (other.xyz != first.xyz).any()
+    assert len(other.points) != len(first.points) or (other.points.xyz != first.points.xyz).any()
 
 
 EXACT = {
@@ -76,7 +76,7 @@ def test_what_moved_lies_on_movers_and_the_rest_on_what_stands():
             points.xyz - recording.drive.true_in_map[number][:, 3]
         ) @ recording.drive.true_in_map[number][:, :3]
         places = inside @ true[:, :3].T + true[:, 3]
-        ghosts = points.moved
+        ghosts = points.moving
         seen += ghosts.sum()
         nearest = np.min(
             [
@@ -100,7 +100,7 @@ def test_people_are_in_the_frame_as_high_as_people_are():
         update={**EXACT, "people": 8, "mode": DriveMode.STAND, "sensor": "os64"}
     )
     made = simulate_meshes(parameters)
-    people = made.points.take(made.moved & (made.points.surface == Surface.PERSON))
+    people = made.points.take(made.points.moving & (made.points.surface == Surface.PERSON))
     height = people.xyz[:, 2] + parameters.sensor_height
     assert len(people) > 200
     assert -0.06 < height.min() < 0.4
@@ -110,7 +110,7 @@ def test_people_are_in_the_frame_as_high_as_people_are():
 @with_open3d
 def test_nothing_moves_where_nobody_is():
     made = simulate_meshes(SMALL.model_copy(update={"people": 0, "vehicles": 0}))
-    assert not made.moved.any()
+    assert not made.points.moving.any()
 
 
 @with_open3d
@@ -123,7 +123,7 @@ def test_who_stays_in_place_all_the_time_has_no_honest_truth():
     assert stays.any()
     points = Points.joined([recording.scan(number) for number in range(6)])
     assert (~points.known).sum() > 20
-    assert not points.moved[~points.known & (points.surface != Surface.PERSON)].any()
+    assert not points.moving[~points.known & (points.surface != Surface.PERSON)].any()
 
 
 @with_open3d
@@ -131,9 +131,9 @@ def test_what_stands_is_seen_alike_without_movers():
     recording = Recording(SMALL.model_copy(update={"mirrors": 0.0, "mixed": 0.0}))
     for number in range(3):
         points, alone = recording.scan(number), recording.scan(number, movers=False)
-        assert not alone.moved.any()
+        assert not alone.moving.any()
         rows = {tuple(row) for row in alone.xyz}
-        still = points.xyz[~points.moved & (points.surface != Surface.PERSON)]
+        still = points.xyz[~points.moving & (points.surface != Surface.PERSON)]
         assert all(tuple(row) in rows for row in still)
 
 
@@ -244,12 +244,12 @@ def test_boxes_and_tubes_are_closed():
 def test_the_voxel_filter_keeps_centroids_and_the_majority():
     xyz = np.array([[0.01, 0.01, 0.01], [0.03, 0.03, 0.03], [0.02, 0.02, 0.02], [0.22, 0, 0]])
     points = Points(
-        xyz, np.array([True, True, False, False]), np.ones(4, bool), np.zeros(4, np.uint8),
-        np.zeros(4, np.float32), np.arange(4, dtype=np.int32), np.zeros(4),
+        xyz, np.zeros(4, np.float32), np.zeros(4), np.zeros(4, np.uint8),
+        np.array([True, True, False, False]), np.ones(4, bool), np.arange(4, dtype=np.int32),
     )  # fmt: skip
     kept = points.filtered(0.1)
     np.testing.assert_allclose(kept.xyz, [[0.02, 0.02, 0.02], [0.22, 0, 0]])
-    assert kept.moved.tolist() == [True, False]
+    assert kept.moving.tolist() == [True, False]
 
 
 def test_random_parameters_are_drawn_widely_and_again_the_same():

@@ -69,15 +69,16 @@ def mesh_scene(kind: MeshSceneKind, sensor: SensorKind, seed: int) -> Scene:
         }
     )  # fmt: skip
     made = simulate_meshes(told)
-    labels = np.where(made.moved, Truth.DYNAMIC, Truth.STATIC).astype(np.int8)
-    labels[~made.known] = Truth.UNKNOWN
+    points = made.points
+    labels = np.where(points.moving, Truth.DYNAMIC, Truth.STATIC).astype(np.int8)
+    labels[~points.known] = Truth.UNKNOWN
     name = f"{kind.value} of meshes, {sensor.value}"
     return Scene(
         name=f"{name}, seed {seed}",
         group=name,
-        xyz=made.xyz,
+        xyz=points.xyz,
         labels=labels,
-        scan=made.scan.astype(np.int32),
+        scan=points.scan,
         poses=made.poses,
         ring_spacing=_SPACINGS.get(sensor, 1.0),
     )

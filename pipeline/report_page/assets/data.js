@@ -13,7 +13,7 @@ const report = (() => {
   return {
     facts,
     places: new Uint16Array(bytes("places").buffer),
-    amounts: new Uint16Array(bytes("amounts").buffer),
+    percentages: new Uint16Array(bytes("percentages").buffer),
     labels: bytes("labels"),
     clusters: bytes("clusters"),
     densities: bytes("densities"),
@@ -27,7 +27,7 @@ function kindOf(point) {
   const label = report.labels[point];
   if (label === 2) return 2;
   if (label > 2) return 3;
-  return report.amounts[point] <= report.state.code ? 1 : 0;
+  return report.percentages[point] <= report.state.code ? 1 : 0;
 }
 
 const KINDS = ["static", "removed", "ground", "other"];

@@ -6,7 +6,7 @@
   const byId = (name) => document.getElementById(name);
   const written = (number) => number.toLocaleString("en-GB");
   const rounded = (number) => Number(number.toFixed(4));
-  // The slider is a share, or the confidence: then the amount is what it lacks of certainty.
+  // The slider is a share, or the confidence: then the percentage is what it lacks of certainty.
   const byScore = facts.confidence !== null;
   const turned = (value) => (byScore ? 100 - 100 * value : value);
   const found = JSON.parse(byId("run").textContent).places;
@@ -67,44 +67,44 @@
   }
 
   // Where a cluster would be cut, between two entries of a table of whole percents.
-  function drawCuts(amount) {
+  function drawCuts(percentage) {
     for (const line of document.querySelectorAll("path.cut")) {
       const places = line.dataset.places.split(",");
-      const low = Math.floor(amount), high = Math.min(low + 1, 100);
+      const low = Math.floor(percentage), high = Math.min(low + 1, 100);
       const [from, to] = line.dataset.line.split(" ");
       const ends = [places[low], places[high]];
-      if (ends[1] === "" || amount === 0) { line.setAttribute("d", "M0 0"); continue; }
+      if (ends[1] === "" || percentage === 0) { line.setAttribute("d", "M0 0"); continue; }
       const start = Number(ends[0] === "" ? ends[1] : ends[0]);
-      const at = start + (Number(ends[1]) - start) * (amount - low);
+      const at = start + (Number(ends[1]) - start) * (percentage - low);
       line.setAttribute("d", `M${at.toFixed(1)} ${from}V${to}`);
     }
   }
 
-  function setAmount(amount, isOwn) {
-    state.code = isOwn ? facts.own_code : Math.round(600 * amount);
+  function setPercentage(percentage, isOwn) {
+    state.code = isOwn ? facts.own_code : Math.round(600 * percentage);
     const removed = isOwn ? facts.removed
-      : facts.removed_points[Math.round(amount / facts.table_step)];
+      : facts.removed_points[Math.round(percentage / facts.table_step)];
     const share = facts.total ? (100 * removed) / facts.total : 0;
-    const value = !byScore ? amount : isOwn ? facts.confidence : 1 - amount / 100;
-    byId("amount-value").textContent = rounded(value) + (byScore ? "" : " %");
+    const value = !byScore ? percentage : isOwn ? facts.confidence : 1 - percentage / 100;
+    byId("percentage-value").textContent = rounded(value) + (byScore ? "" : " %");
     byId("removed-count").textContent = written(removed);
     byId("removed-share").textContent = `points, ${share.toFixed(1)} % of the map,`;
     byId("removed-kind").textContent = isOwn ? "removed in this run" : "would be removed";
-    const least = isOwn ? facts.min_percent : amount * facts.min_ratio;
+    const least = isOwn ? facts.min_percent : percentage * facts.min_ratio;
     byId("settings").textContent = byScore ? `--set removal.confidence=${rounded(value)}`
-      : `--set removal.min_percent=${rounded(least)} --set removal.max_percent=${rounded(amount)}`;
-    drawCuts(amount);
+      : `--set removal.min_percent=${rounded(least)} --set removal.max_percent=${rounded(percentage)}`;
+    drawCuts(percentage);
     draw();
   }
   function reset() {
-    byId("amount").value = byScore ? facts.confidence : facts.own;
-    setAmount(facts.own, true);
+    byId("percentage").value = byScore ? facts.confidence : facts.own;
+    setPercentage(facts.own, true);
   }
 
-  byId("amount").addEventListener("input", (event) => {
-    const amount = turned(Number(event.target.value));
-    const nearest = Math.abs(amount - facts.own) <= facts.table_step / 2;
-    setAmount(nearest ? facts.own : amount, nearest);
+  byId("percentage").addEventListener("input", (event) => {
+    const percentage = turned(Number(event.target.value));
+    const nearest = Math.abs(percentage - facts.own) <= facts.table_step / 2;
+    setPercentage(nearest ? facts.own : percentage, nearest);
   });
   byId("reset").addEventListener("click", reset);
   byId("copy").addEventListener("click", async () => {

@@ -2,7 +2,7 @@
 "use strict";
 
 const VERTEX_SHADER = `
-  attribute float amount;
+  attribute float percentage;
   attribute float label;
   attribute float cluster;
   attribute float density;
@@ -28,12 +28,12 @@ const VERTEX_SHADER = `
   }
 
   void main() {
-    int kind = label > 2.5 ? 3 : label > 1.5 ? 2 : amount <= code ? 1 : 0;
+    int kind = label > 2.5 ? 3 : label > 1.5 ? 2 : percentage <= code ? 1 : 0;
     float visible = kind == 3 ? shown.w : kind == 2 ? shown.z : kind == 1 ? shown.y : shown.x;
     float height = clamp((position.z - heights.x) / max(heights.y - heights.x, 1e-6), 0.0, 1.0);
     if (mode == 1) tone = ramp(height);
     else if (mode == 2) tone = density > 254.5 ? vec3(0.75) : ramp(density / 254.0);
-    else if (mode == 4) tone = amount > 60000.5 ? vec3(0.75) : ramp(1.0 - amount / 60000.0);
+    else if (mode == 4) tone = percentage > 60000.5 ? vec3(0.75) : ramp(1.0 - percentage / 60000.0);
     else if (mode == 3) {
       int index = int(mod(cluster, 6.0));
       tone = label > 1.5 ? vec3(0.75)
@@ -113,7 +113,7 @@ function makeScene() {
   const attach = (name, array, size) =>
     geometry.setAttribute(name, new THREE.BufferAttribute(array, size));
   attach("position", position, 3);
-  attach("amount", Float32Array.from(report.amounts), 1);
+  attach("percentage", Float32Array.from(report.percentages), 1);
   attach("label", Float32Array.from(report.labels), 1);
   attach("cluster", Float32Array.from(report.clusters), 1);
   attach("density", Float32Array.from(report.densities), 1);

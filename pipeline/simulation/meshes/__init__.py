@@ -3,12 +3,12 @@
 Needs Open3D, whose `RaycastingScene` casts the rays: the extra `open3d`.
 """
 
-from pipeline.simulation.meshes.draw import random_parameters
 from pipeline.simulation.meshes.parameters import (
     DriveMode,
     MeshParameters,
     MeshSceneKind,
     SensorKind,
+    random_parameters,
 )
 from pipeline.simulation.meshes.simulate import MeshMap, simulate_meshes
 

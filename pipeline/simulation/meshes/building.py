@@ -4,10 +4,25 @@ import numpy as np
 
 from pipeline.simulation.meshes import furniture
 from pipeline.simulation.meshes.mesh import tubes
-from pipeline.simulation.meshes.stage import Matter, Stage
+from pipeline.simulation.meshes.stage import Floor, Matter, Stage, level
 from pipeline.simulation.shapes import Surface
 
 Place = tuple[float, float]
+Bounds = tuple[float, float, float, float]
+
+
+def level_ground(stage: Stage, bounds: Bounds, albedo: float, beyond: float = 1.0) -> None:
+    """Lay a floor to walk on, and the slab under it, which reaches farther."""
+    x0, y0, x1, y1 = bounds
+    low, high = [x0 - beyond, y0 - beyond, -0.2], [x1 + beyond, y1 + beyond, 0]
+    stage.block(low, high, Surface.FLOOR, albedo)
+    stage.floors.append(Floor(bounds, level(0.0)))
+
+
+def sides(long: float, wide: float) -> list[tuple[Place, Place]]:
+    """Return the ends of the four sides of a rectangle, one after the other."""
+    corners = [(0.0, 0.0), (long, 0.0), (long, wide), (0.0, wide)]
+    return list(zip(corners, corners[1:] + corners[:1], strict=True))
 
 
 def wall(
@@ -96,9 +111,7 @@ def outer_wall(stage: Stage, start: Place, end: Place, base: float, high: float)
                 furniture.curtain(stage, at, wide * share, top + 0.1)
 
 
-def ceiling(
-    stage: Stage, bounds: tuple[float, float, float, float], high: float, base: float = 0.0
-) -> None:
+def ceiling(stage: Stage, bounds: Bounds, high: float, base: float = 0.0) -> None:
     """Build a ceiling, perhaps with beams, ducts, pipes and lamps below it."""
     random, u = stage.random, stage.random.uniform
     x0, y0, x1, y1 = bounds
@@ -122,12 +135,12 @@ def ceiling(
             stage.boxes([0, 0, top - 0.06, 1.2, 0.2, 0.08], Surface.CEILING, (x, y, 0, 0))
 
 
-def pillar(stage: Stage, x: float, y: float, high: float, base: float = 0.0) -> None:
+def pillar(stage: Stage, x: float, y: float, high: float) -> None:
     """Build a round or square pillar."""
     u = stage.random.uniform
     wide = u(0.2, 0.5)
     if u() < 0.5:
-        mesh = tubes([[[x, y, base], [x, y, base + high]]], wide * 0.6, 14)
+        mesh = tubes([[[x, y, 0], [x, y, high]]], wide * 0.6, 14)
         stage.mesh(mesh, Surface.WALL)
     else:
-        stage.boxes([0, 0, high / 2, wide, wide, high], Surface.WALL, (x, y, base, 0.0))
+        stage.boxes([0, 0, high / 2, wide, wide, high], Surface.WALL, (x, y, 0.0, 0.0))

@@ -269,13 +269,13 @@ def coat_rack(stage: Stage, at: At) -> None:
     place(stage, Mesh.joined(parts), at)
 
 
-def pallet(stage: Stage, at: At, high: float | None = None) -> None:
+def pallet(stage: Stage, at: At) -> None:
     """Place a pallet with boxes that leave gaps."""
     u = stage.random.uniform
     rows = [[0, y, 0.07, 1.2, 0.12, 0.14] for y in (-0.35, 0, 0.35)] + [
         [0, 0, 0.13, 1.2, 0.8, 0.03]
     ]
-    tall = u(0.0, 1.6) if high is None else high
+    tall = u(0.0, 1.6)
     z = 0.15
     while z < tall:
         layer = u(0.2, 0.45)

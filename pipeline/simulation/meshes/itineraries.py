@@ -122,8 +122,35 @@ def _paced(way: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
     lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     steps = max(2, int(np.ceil(along[-1] / (speed * STEP))))
-    at = np.linspace(0, along[-1], steps)
-    return np.stack([np.interp(at, along, way[:, axis]) for axis in range(3)], axis=1)
+    return interpolated(np.linspace(0, along[-1], steps), along, way)
+
+
+def interpolated(
+    at: NDArray[np.float64], known: NDArray[np.float64], rows: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the rows of a table, (n, m), between those known at some numbers, (k,) and (k, m)."""
+    return np.stack([np.interp(at, known, column) for column in rows.T], axis=1)
+
+
+def along_lane(
+    line: NDArray[np.float64], along: NDArray[np.float64], at: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return places on a lane, (n, 3), and the headings of wheels there, unwrapped.
+
+    Parameters
+    ----------
+    line : (m, 3) float64 array
+        Corners of the lane.
+    along : (m,) float64 array
+        Way from its beginning to each.
+    at : (n,) float64 array
+        Way from its beginning to the places.
+    reach : float
+        Way to the front axle and to the rear one.
+    """
+    ahead = interpolated(at + reach, along, line[:, :2])
+    ahead -= interpolated(at - reach, along, line[:, :2])
+    return interpolated(at, along, line), np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
 def _track(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.meshes.itineraries import STEP, Planner, Track, follow
+from pipeline.simulation.meshes.itineraries import STEP, Planner, Track, along_lane, follow
 from pipeline.simulation.meshes.mesh import Mesh, boxes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.people import Bodies, Postures, draw_bodies, people_mesh
@@ -230,12 +230,8 @@ def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
     gap = 0.0 if lane.closed else random.uniform(10, 60)
     lap = along[-1] + gap
     at = (gone + random.uniform(0, along[-1])) % lap
-    place = np.stack([np.interp(at, along, lane.line[:, axis]) for axis in range(3)], axis=1)
-    ahead = np.stack(
-        [np.interp(at + 0.5, along, lane.line[:, axis]) for axis in range(2)], axis=1
-    ) - np.stack([np.interp(at - 0.5, along, lane.line[:, axis]) for axis in range(2)], axis=1)
+    place, yaw = along_lane(lane.line, along, at, 0.5)
     place[at > along[-1]] = _AWAY
-    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     mesh = VEHICLES[kind](random)
     if kind == "bicycle":
         mesh = Mesh.joined([mesh, _rider(random)])

@@ -82,13 +82,6 @@ class Postures:
     seat: NDArray[np.float64]
     lean: NDArray[np.float64]
 
-    def of(self, which: NDArray[np.int64]) -> "Postures":
-        """Return those of some people."""
-        return Postures(
-            self.place[which], self.yaw[which], self.phase[which], self.stride[which],
-            self.sitting[which], self.seat[which], self.lean[which],
-        )  # fmt: skip
-
 
 def draw_bodies(random: np.random.Generator, count: int, burdens: float = 0.5) -> Bodies:
     """Draw people of all sizes, a share of them with bags, trolleys or prams."""

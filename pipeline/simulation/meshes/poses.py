@@ -7,7 +7,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from pipeline.simulation.meshes.itineraries import STEP, Stop, Track, follow
+from pipeline.simulation.meshes.itineraries import (
+    STEP,
+    Stop,
+    Track,
+    along_lane,
+    follow,
+    interpolated,
+)
 from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters
 from pipeline.simulation.meshes.stage import Lane, Stage
 from pipeline.simulation.meshes.walkways import Walkways
@@ -86,23 +93,17 @@ def _along(
     gone = np.cumsum(pace) * STEP
     spare = max(0.0, along[-1] - gone[-1])
     at = np.minimum(gone + random.uniform(0, spare), along[-1] - 0.01)
-    place = np.stack([np.interp(at, along, lane.line[:, axis]) for axis in range(3)], axis=1)
-    after = np.stack([np.interp(at + 1, along, lane.line[:, axis]) for axis in range(2)], axis=1)
-    before = np.stack([np.interp(at - 1, along, lane.line[:, axis]) for axis in range(2)], axis=1)
-    ahead = after - before
-    yaw = gaussian_filter1d(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])), 5.0)
+    place, yaw = along_lane(lane.line, along, at, 1.0)
     zero = np.zeros(count)
-    return Track(place, yaw, gone, pace, zero, zero)
+    return Track(place, gaussian_filter1d(yaw, 5.0), gone, pace, zero, zero)
 
 
 def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
     """Choose the times of the scans, and say where the sensor is and is believed to be."""
-    samples = np.arange(len(track.yaw)) * STEP
+    samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
     times = _scan_times(track, parameters)
-    place = np.stack([np.interp(times, samples, track.place[:, axis]) for axis in range(3)], axis=1)
-    later = np.stack(
-        [np.interp(times + 0.1, samples, track.place[:, axis]) for axis in range(3)], axis=1
-    )
+    place = interpolated(times, samples, track.place)
+    later = interpolated(times + 0.1, samples, track.place)
     yaw = np.interp(times, samples, track.yaw)
     count = len(times)
     tilt = np.radians(parameters.wobble) * random.normal(size=(count, 3)) * [1, 1, 0.3]

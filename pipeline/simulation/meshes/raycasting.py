@@ -1,6 +1,6 @@
 """Rays that meet triangles: what stands, what moves, glass that passes and mirrors that turn."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import ModuleType
 
 import numpy as np
@@ -60,21 +60,12 @@ class Hits:
 
     def of(self, rays: NDArray[np.int64]) -> "Hits":
         """Return those of some rays."""
-        return Hits(
-            self.distance[rays], self.surface[rays], self.albedo[rays],
-            self.cosine[rays], self.owner[rays], self.mirrored[rays],
-        )  # fmt: skip
+        return Hits(*(getattr(self, field.name)[rays] for field in fields(self)))
 
     def take(self, other: "Hits", where: NDArray[np.bool_]) -> "Hits":
         """Return these hits, but others where told."""
-        return Hits(
-            np.where(where, other.distance, self.distance),
-            np.where(where, other.surface, self.surface),
-            np.where(where, other.albedo, self.albedo),
-            np.where(where, other.cosine, self.cosine),
-            np.where(where, other.owner, self.owner),
-            np.where(where, other.mirrored, self.mirrored),
-        )
+        names = [field.name for field in fields(self)]
+        return Hits(*(np.where(where, getattr(other, name), getattr(self, name)) for name in names))
 
 
 class Target:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.meshes.movers import Movers, populate, seat_people
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.points import Points
 from pipeline.simulation.meshes.poses import Drive, drive, longest, sensor_track
 from pipeline.simulation.meshes.raycasting import Caster, Hits
 from pipeline.simulation.meshes.scenes import build_stage
 from pipeline.simulation.meshes.sensors import Sweep, sweep
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.poses import to_map, to_sensor
+from pipeline.simulation.motion import to_map, to_sensor
+from pipeline.simulation.points import Points
 from pipeline.simulation.simulate import SimulatedScan
 
 _EDGE = 0.15  # metres between two ranges that a ray on an edge would mix
@@ -50,37 +50,6 @@ class MeshMap:
     points: Points
     poses: NDArray[np.float64]
     true_poses: NDArray[np.float64]
-
-    @property
-    def xyz(self) -> NDArray[np.float64]:
-        """Points in the map's frame, placed by the estimated poses, in metres."""
-        return self.points.xyz
-
-    @property
-    def moved(self) -> NDArray[np.bool_]:
-        """Whether each point lies on something that changes its place."""
-        return self.points.moved
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """Whether that can be told honestly."""
-        return self.points.known
-
-    @property
-    def scan(self) -> NDArray[np.int32]:
-        """The scan of each point."""
-        return self.points.scan
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """When each point was measured, in seconds."""
-        return self.points.time
-
-    @property
-    def sensor(self) -> str:
-        """The sensor, in words."""
-        told = self.parameters
-        return f"{told.sensor}, {told.rays} rays a scan, {told.rate:g} Hz, {told.sensor_height:g} m"
 
 
 class Recording:
@@ -131,17 +100,17 @@ class Recording:
         seen = origins + ranges[:, None] * aimed
         flat = np.hypot(*(seen - true[:, 3])[:, :2].T)
         met &= (ranges > told.min_range) & (ranges < told.max_range) & (flat > told.own_body)
-        moved, known = self._truth(hits, other, share)
+        moving, known = self._truth(hits, other, share)
         noise = random.normal(size=len(met)) * 6
         kept = met & (random.random(len(met)) < told.keep)
         points = Points(
             xyz=to_map(self.drive.estimated[number], to_sensor(true, seen)),
-            moved=moved,
-            known=known,
-            surface=hits.surface,
             intensity=np.round(hits.albedo * 200 + noise).clip(0, 255).astype(np.float32),
-            scan=np.full(len(met), number, dtype=np.int32),
             time=start + turn.share / told.rate,
+            surface=hits.surface,
+            moving=moving,
+            known=known,
+            scan=np.full(len(met), number, dtype=np.int32),
         )
         return points.take(kept).filtered(told.scan_voxel)
 
@@ -226,8 +195,8 @@ def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[S
         yield SimulatedScan(
             number=number,
             start=float(start),
-            returns=points.returns(),
-            static_returns=alone.returns(),
+            returns=points,
+            static_returns=alone,
             true_pose=recording.drive.true_in_map[number],
             estimated_pose=recording.drive.estimated[number],
         )

@@ -135,11 +135,10 @@ class Stage:
         rows: Rows,
         surface: Surface,
         at: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-        albedo: float | None = None,
         matter: Matter = Matter.SOLID,
     ) -> None:
         """Add boxes (middle and lengths), placed at x, y, z and turned by a yaw."""
-        self.mesh(boxes(rows).placed(*at), surface, albedo, matter)
+        self.mesh(boxes(rows).placed(*at), surface, matter=matter)
 
     def block(
         self,
@@ -169,7 +168,3 @@ class Stage:
             np.repeat(surfaces, sizes),
             np.repeat(albedos, sizes),
         )
-
-    def ground(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the height of the first floor at places."""
-        return self.floors[0].height(x, y)

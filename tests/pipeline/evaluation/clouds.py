@@ -7,7 +7,7 @@ from unittest.mock import patch
 import numpy as np
 
 from dynahull.progress import SilentObserver
-from pipeline.evaluation.row_values import RowValues
+from pipeline.evaluation.labels import RowValues
 from pipeline.evaluation.tiled_cloud import CloudSource, cut_clouds
 from tiling.collection import MapCollection
 

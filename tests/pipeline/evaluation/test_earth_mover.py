@@ -10,8 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from pipeline.errors import MissingPackageError, PlanError
-from pipeline.evaluation.earth_mover import check_transport, transport_cost
-from pipeline.evaluation.sample import draw_sample
+from pipeline.evaluation.earth_mover import check_transport, draw_sample, transport_cost
 from tests.pipeline.evaluation.clouds import cut, source_of
 
 

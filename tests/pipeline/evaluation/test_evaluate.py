@@ -22,7 +22,7 @@ from pipeline.errors import (
 from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.results import evaluate_files
+from pipeline.evaluation.report import evaluate_files
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from tiling.errors import MapFormatError

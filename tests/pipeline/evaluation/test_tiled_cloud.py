@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 
 from dynahull.progress import SilentObserver
 from pipeline.errors import EvaluationError
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.earth_mover import draw_sample
+from pipeline.evaluation.labels import RowReader, RowValues, Truth
 from pipeline.evaluation.nearest_point import find_nearest, look_up
-from pipeline.evaluation.row_values import RowReader, RowValues
-from pipeline.evaluation.sample import draw_sample
 from pipeline.evaluation.tiled_cloud import CloudSource, check_points, voxel_cells
 from tests.pipeline.evaluation.clouds import cut, source_of
 from tiling.collection import MapCollection

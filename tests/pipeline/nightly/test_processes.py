@@ -9,8 +9,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from pipeline.nightly import cleaner as cleaner_module
-from pipeline.nightly.cleaner import ChildProcess
+from pipeline.nightly import one_map
+from pipeline.nightly.one_map import Cleaner
 from pipeline.nightly.results import tasks_done
 from pipeline.outputs.folder import folder_is_locked
 from pipeline.outputs.folder_lock import night_lock
@@ -131,9 +131,9 @@ def test_a_night_whose_time_is_over_stops_its_run_and_the_next_goes_on(
     place, map_bytes, monkeypatch, outcomes_of
 ):
     """Time passes when work is done: the night is over when ten tasks are."""
-    monkeypatch.setattr(cleaner_module, "_LOOK_EVERY", 0.05)
+    monkeypatch.setattr(one_map, "_LOOK_EVERY", 0.05)
     path = place.write("incoming/a.npy", map_bytes(1, 4000))
-    place.cleaner = ChildProcess()
+    place.cleaner = Cleaner()
     place.clock.monotonic = lambda: 3600.0 if is_half_done(place, path) else 0.0
     summary = place.night("stop_after=1 h")
     assert outcomes_of(summary) == {"a.npy": "stopped"}

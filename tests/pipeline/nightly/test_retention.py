@@ -5,8 +5,7 @@ import os
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.nightly.results import MapFolder
-from pipeline.nightly.retention import remove_old_runs
+from pipeline.nightly.results import MapFolder, remove_old_runs
 from pipeline.nightly.settings import Retention
 from pipeline.outputs.folder import locked_folder
 

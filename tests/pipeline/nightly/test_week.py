@@ -18,19 +18,19 @@ DAY = 86400.0
 NIGHT = """
 import sys, time
 from pathlib import Path
-from pipeline.nightly.cleaner import ChildProcess
-from pipeline.nightly.clock import NightEnd, SystemClock
+from pipeline.nightly.one_map import Cleaner
+from pipeline.nightly.clock import Clock, NightEnd
 from pipeline.nightly.night import clean_nightly
 from pipeline.nightly.settings import load_nightly_settings
 
-class Cleaner(ChildProcess):
+class Cleaner(Cleaner):
     def clean(self, request, is_over):
         ended = super().clean(request, is_over)
         while request.map.name == sys.argv[3]:  # until it is killed
             time.sleep(1)
         return ended
 
-class Ahead(SystemClock):
+class Ahead(Clock):
     def now(self):
         return time.time() + float(sys.argv[2])
 

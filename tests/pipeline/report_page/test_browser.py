@@ -66,7 +66,7 @@ def test_the_slider_changes_the_count_and_the_views(opened, dynamic):
     assert "removed in this run" in page.inner_text(".answer")
     before = ink(page, "scene-canvas")[1], ink(page, "top-before")[1]
     cut = page.get_attribute("path.cut >> nth=1", "d")
-    page.fill("#amount", "60")
+    page.fill("#percentage", "60")
     assert removed_count(page) > 2 * dynamic
     assert "would be removed" in page.inner_text(".answer")
     assert "--set removal.min_percent=15 --set removal.max_percent=60" in page.inner_text(
@@ -75,7 +75,7 @@ def test_the_slider_changes_the_count_and_the_views(opened, dynamic):
     assert ink(page, "scene-canvas")[1] > 1.3 * before[0]
     assert ink(page, "top-before")[1] > 1.3 * before[1]
     assert page.get_attribute("path.cut >> nth=1", "d") != cut
-    page.fill("#amount", "0")
+    page.fill("#percentage", "0")
     assert removed_count(page) == 0
     assert ink(page, "scene-canvas")[1] == ink(page, "top-before")[1] == 0
     page.click("#reset")
@@ -102,7 +102,7 @@ def test_what_is_switched_off_is_not_drawn(opened):
 
 def test_all_of_it_can_be_done_with_the_keyboard(opened, dynamic):
     page = opened()
-    page.focus("#amount")
+    page.focus("#percentage")
     for _ in range(5):
         page.keyboard.press("PageUp")
     assert removed_count(page) > dynamic
@@ -156,7 +156,7 @@ def test_without_webgl_it_says_so_and_the_rest_works(opened, dynamic):
     assert page.is_disabled("#colour")
     for canvas in VIEWS:
         assert ink(page, canvas)[0] > 1_000
-    page.fill("#amount", "50")
+    page.fill("#percentage", "50")
     assert removed_count(page) > dynamic
     assert page.heard == []
 
@@ -174,14 +174,14 @@ def test_by_evidence_the_slider_is_the_confidence(opened, cleaned, name):
     report = json.loads((cleaned[name] / "run.json").read_text(encoding="utf-8"))
     page = opened(name)
     assert removed_count(page) == report["counts"]["dynamic"]
-    assert page.inner_text("#amount-value") == "0.3"
+    assert page.inner_text("#percentage-value") == "0.3"
     before = ink(page, "top-before")[1]
-    page.fill("#amount", "0.15")
+    page.fill("#percentage", "0.15")
     assert removed_count(page) == report["counts"]["dynamic"] + report["uncertain_points"]
     assert "would be removed" in page.inner_text(".answer")
     assert page.inner_text("#settings") == "--set removal.confidence=0.15"
     assert ink(page, "top-before")[1] > before
-    page.fill("#amount", "0.95")
+    page.fill("#percentage", "0.95")
     assert removed_count(page) < report["counts"]["dynamic"]
     page.click("#reset")
     assert removed_count(page) == report["counts"]["dynamic"]

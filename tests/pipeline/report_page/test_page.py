@@ -53,7 +53,7 @@ def read(page):
 
 def test_the_page_by_evidence_does_not_depend_on_how_the_map_is_cut(cleaned):
     whole, tiled = page_of(cleaned["judged"]), page_of(cleaned["judged tiled"])
-    for name in ("places", "amounts", "labels", "clusters", "densities"):
+    for name in ("places", "percentages", "labels", "clusters", "densities"):
         assert array(whole, name) == array(tiled, name)
     assert facts(whole) == facts(tiled)
     assert facts(whole)["confidence"] == 0.3
@@ -110,7 +110,7 @@ def test_names_and_warnings_are_text_and_never_markup(cleaned):
 
 def test_the_page_does_not_depend_on_how_the_map_is_cut(cleaned):
     whole, tiled = page_of(cleaned["whole"]), page_of(cleaned["tiled"])
-    for name in ("places", "amounts", "labels", "clusters", "densities"):
+    for name in ("places", "percentages", "labels", "clusters", "densities"):
         assert array(whole, name) == array(tiled, name)
     assert facts(whole) == facts(tiled)
 

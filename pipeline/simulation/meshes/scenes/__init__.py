@@ -1,19 +1,13 @@
-"""The scenes, one module a kind."""
+"""The scenes."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from pipeline.simulation.meshes.parameters import MeshParameters, MeshSceneKind
-from pipeline.simulation.meshes.scenes.corridor import corridor
-from pipeline.simulation.meshes.scenes.garage import garage
-from pipeline.simulation.meshes.scenes.lobby import lobby
-from pipeline.simulation.meshes.scenes.office import office
-from pipeline.simulation.meshes.scenes.park import park
-from pipeline.simulation.meshes.scenes.room import room
-from pipeline.simulation.meshes.scenes.stairs import stairs
-from pipeline.simulation.meshes.scenes.street import street
-from pipeline.simulation.meshes.scenes.warehouse import warehouse
+from pipeline.simulation.meshes.scenes.halls import garage, lobby, stairs, warehouse
+from pipeline.simulation.meshes.scenes.outdoors import park, street
+from pipeline.simulation.meshes.scenes.rooms import corridor, office, room
 from pipeline.simulation.meshes.stage import Stage
 
 _SCENES: dict[MeshSceneKind, Callable[[Stage, MeshParameters], None]] = {

@@ -6,40 +6,41 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.simulate import Returns
-
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """n points.
+    """n points, free of motion distortion, as after perfect deskewing.
 
     Attributes
     ----------
     xyz : (n, 3) float64 array
-        In the map's frame.
-    moved : (n,) bool array
-        Whether each lies on something that changes its place during the recording.
+        In the map's frame, placed by the estimated pose, in metres.
+    intensity : (n,) float32 array
+        Calibrated reflectivity, 0 to 255.
+    time : (n,) float64 array
+        In seconds.
+    surface : (n,) uint8 array
+        `Surface` each point lies on.
+    moving : (n,) bool array
+        Whether each lies on something that changes its place: a ghost.
     known : (n,) bool array
         Whether that can be told honestly.
-    surface : (n,) uint8 array
-        `Surface` of each.
-    intensity : (n,) float32 array
     scan : (n,) int32 array
-    time : (n,) float64 array
+        The scan that saw the point.
     """
 
     xyz: NDArray[np.float64]
-    moved: NDArray[np.bool_]
-    known: NDArray[np.bool_]
-    surface: NDArray[np.uint8]
     intensity: NDArray[np.float32]
-    scan: NDArray[np.int32]
     time: NDArray[np.float64]
+    surface: NDArray[np.uint8]
+    moving: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    scan: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Points":
+    def take(self, which: NDArray[np.bool_] | NDArray[np.int64] | slice) -> "Points":
         """Return some of the points."""
         return Points(*(getattr(self, field.name)[which] for field in fields(self)))
 
@@ -51,22 +52,6 @@ class Points:
                 np.concatenate([getattr(part, field.name) for part in parts])
                 for field in fields(cls)
             )
-        )
-
-    @classmethod
-    def of_scan(cls, returns: Returns, number: int) -> "Points":
-        """Return the points of a scan, all of known truth unless it says otherwise."""
-        count = len(returns)
-        known = np.ones(count, dtype=np.bool_) if returns.known is None else returns.known
-        return cls(
-            returns.xyz, returns.moving, known, returns.surface, returns.intensity,
-            np.full(count, number, dtype=np.int32), returns.time,
-        )  # fmt: skip
-
-    def returns(self) -> Returns:
-        """Return them as files take them."""
-        return Returns(
-            self.xyz, self.intensity, self.time, self.surface, self.moved, known=self.known
         )
 
     def filtered(self, size: float) -> "Points":
@@ -93,6 +78,6 @@ class Points:
         kept = self.take(first)
         for axis in range(3):
             kept.xyz[:, axis] = np.bincount(voxel, self.xyz[:, axis]) / count
-        kept.moved[:] = np.bincount(voxel, self.moved) / count > 0.5
+        kept.moving[:] = np.bincount(voxel, self.moving) / count > 0.5
         kept.known[:] = np.bincount(voxel, self.known) / count > 0.5
         return kept.take(np.argsort(first, kind="stable"))

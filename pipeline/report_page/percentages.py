@@ -2,8 +2,8 @@
 
 The slider is `removal.max_percent`; `removal.min_percent` goes with it, in the run's own ratio.
 Eq. 1 is linear in the two, so that R_i is in proportion to the slider, and each scored point has
-one amount from which on it is removed. Where the evidence decides, the slider is
-`removal.confidence`, and the amount is what it lacks of certainty, in percent.
+one percentage from which on it is removed. Where the evidence decides, the slider is
+`removal.confidence`, and the percentage is what it lacks of certainty.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.run_report import ClusterReport
 
 NEVER = np.inf
-"""The amount of points that no setting removes: ground, and points of infinite density."""
+"""Of points that no setting removes: ground, and points of infinite density."""
 
 TABLE_STEP = 0.1
 """Percent between two entries of the table of removed points, by Eq. 1."""
@@ -29,15 +29,15 @@ _CUT_STEP = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Amounts:
-    """What each amount takes.
+class Percentages:
+    """What each percentage takes.
 
     Attributes
     ----------
     own : float
         The run's `removal.max_percent`, or what its `removal.confidence` lacks of certainty.
     removed_from : (n,) float64 array
-        For each sampled point the amount, in percent, from which on it goes; `NEVER` is possible.
+        For each sampled point the percentage from which on it goes; `NEVER` is possible.
         What the run removed is at or below `own`, and the rest above it.
     step : float
         Percent between two entries of `removed_points`.
@@ -60,10 +60,10 @@ class Amounts:
     margin: float
 
 
-def removal_amounts(
+def removal_percentages(
     sample: MapSample, clusters: Sequence[ClusterReport], removal: dict[str, Any]
-) -> Amounts:
-    """Find what each amount takes.
+) -> Percentages:
+    """Find what each percentage takes.
 
     Parameters
     ----------
@@ -88,9 +88,12 @@ def removal_amounts(
         rate = _share_per_percent(cluster, removal)
         finite = _removable(cluster, len(order), len(members), rate * own)
         gone = int(np.count_nonzero(sample.labels[order] == Label.DYNAMIC))
-        amount = _amounts_in_order(len(order), gone, cluster, finite, rate)
+        percentage = _percentages_in_order(len(order), gone, cluster, finite, rate)
         removed_from[order] = np.concatenate(
-            [np.minimum(amount[:gone], own), np.maximum(amount[gone:], np.nextafter(own, np.inf))]
+            [
+                np.minimum(percentage[:gone], own),
+                np.maximum(percentage[gone:], np.nextafter(own, np.inf)),
+            ]
         )
         removed += np.minimum(np.floor(rate * steps * cluster.count + 1e-6), finite)
         cuts[cluster.index] = _cut_table(sample.density[order], removed_from[order])
@@ -99,12 +102,12 @@ def removal_amounts(
             margin = max(margin, 196 * float(np.sqrt(share * (1 - share) / len(members))))
     if len(sample) == sample.total:
         margin = 0.0
-    return Amounts(own, removed_from, TABLE_STEP, removed.astype(np.int64), cuts, margin)
+    return Percentages(own, removed_from, TABLE_STEP, removed.astype(np.int64), cuts, margin)
 
 
-def confidence_amounts(
+def confidence_percentages(
     sample: MapSample, clusters: Sequence[ClusterReport], confidence: float, decision: Decision
-) -> Amounts:
+) -> Percentages:
     """Find what each confidence takes, where the evidence decides.
 
     Parameters
@@ -122,7 +125,7 @@ def confidence_amounts(
     lacking = np.where(
         gone, np.minimum(lacking, own), np.maximum(lacking, np.nextafter(own, NEVER))
     )
-    return Amounts(
+    return Percentages(
         own,
         np.where(np.isnan(sample.score), NEVER, lacking),
         100 / SCORE_STEPS,
@@ -158,10 +161,10 @@ def _removable(cluster: ClusterReport, finite: int, sampled: int, share: float) 
     return max(cluster.removed, cluster.count * finite / sampled)
 
 
-def _amounts_in_order(
+def _percentages_in_order(
     count: int, gone: int, cluster: ClusterReport, finite: float, rate: float
 ) -> NDArray[np.float64]:
-    """Return the amounts of a cluster's sampled points in the order in which they go.
+    """Return the percentages of a cluster's sampled points in the order in which they go.
 
     Those that the run removed stand for all that it removed, the rest for the rest.
     """
@@ -173,15 +176,15 @@ def _amounts_in_order(
     ranks[gone:] = cluster.removed + (np.arange(left) + 0.5) * (
         (finite - cluster.removed) / max(left, 1)
     )
-    amounts = ranks / cluster.count / rate
-    return np.where(amounts <= 100, amounts, NEVER)
+    percentages = ranks / cluster.count / rate
+    return np.where(percentages <= 100, percentages, NEVER)
 
 
 def _cut_table(
     density: NDArray[np.float64], removed_from: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    amounts = np.arange(round(100 / _CUT_STEP) + 1) * _CUT_STEP
-    count = np.searchsorted(removed_from, amounts, side="right")
+    percentages = np.arange(round(100 / _CUT_STEP) + 1) * _CUT_STEP
+    count = np.searchsorted(removed_from, percentages, side="right")
     if not len(density):
-        return np.full(len(amounts), np.nan)
+        return np.full(len(percentages), np.nan)
     return np.where(count > 0, density[np.maximum(count - 1, 0)], np.nan)
