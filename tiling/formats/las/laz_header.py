@@ -101,7 +101,7 @@ class Compression:
         same_items = self.data[_AT_ITEMS : len(data)] == data[_AT_ITEMS:]
         return self.data[:2] == data[:2] and same_items and not self.has_variable_chunks
 
-    def for_stretch(self, points: int) -> bytes:
+    def for_chunks(self, points: int) -> bytes:
         """Return the VLR's data for lazrs, for chunks of so many points."""
         data = bytearray(self.data)
         struct.pack_into("<I", data, _AT_CHUNK_SIZE, min(points, _VARIABLE_CHUNK_SIZE - 1))

@@ -28,18 +28,10 @@ from tiling.formats.las.header import (
     LasHeader,
     read_header,
 )
-from tiling.formats.las.laz import (
-    LaszipPoints,
-    LazPoints,
-    PointSource,
-    check_last_chunk,
-    laszip_is_installed,
-)
+from tiling.formats.las.laz import LaszipPoints, LazPoints, PointSource, usable_threads
 from tiling.formats.las.laz_chunks import knows_chunks
 from tiling.formats.las.laz_header import Compression, read_compression
-from tiling.formats.las.laz_parallel import ParallelLazPoints, can_be_read_in_parallel
 from tiling.formats.las.laz_writer import LazWriter
-from tiling.formats.las.lazrs_pool import usable_threads
 from tiling.formats.las.surroundings import is_copc_index
 from tiling.formats.las.writer import LasPartWriter
 from tiling.formats.las_leftover import check_behind_points
@@ -92,8 +84,6 @@ class LasReader(MapReader):
                 records = np.empty((count, header.record_length), dtype=np.uint8)
                 source.read_into(records)
                 yield self.batch_of(first, records)
-            if rows and rows.stop == header.point_count and self._compression is not None:
-                check_last_chunk(file, header, self._compression)
 
     @property
     def bytes_per_point(self) -> int:
@@ -140,12 +130,10 @@ class LasReader(MapReader):
     def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:
             return _RawPoints(file, self._header, rows.start)
-        if self._compression.needs_laszip and laszip_is_installed():
+        if self._compression.needs_laszip:
             return LaszipPoints(file, self._header, self._compression, rows)
         threads = usable_threads(self.threads)
-        if threads > 1 and can_be_read_in_parallel(file, self._header, self._compression):
-            return ParallelLazPoints(file, self._header, self._compression, rows, threads)
-        return LazPoints(file, self._header, self._compression, rows)
+        return LazPoints(file, self._header, self._compression, rows, threads)
 
 
 class _RawPoints:
