@@ -146,7 +146,7 @@ class NpzReader(MapReader):
             info = zipfile.ZipInfo(f"{field.name}.npy", first.date_time)
             info.compress_type = first.compress_type
             dtype = np.dtype(field.dtype).newbyteorder("<")
-            header = ArrayHeader(dtype.str, dtype, False, (0,), version=1, size=0)
+            header = ArrayHeader(dtype, False, (0,))
             members.append(_Member(info, field.name, header, is_per_point=True))
         model = copy(self)
         model._members = tuple(members)
