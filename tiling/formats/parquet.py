@@ -1,6 +1,7 @@
 """Parquet maps: columns x, y and z and whatever else, read and written through pyarrow."""
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -17,12 +18,10 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import LARGEST_BATCH, MapReader, MapWriter
-from tiling.formats.coordinates import coordinate_names
 from tiling.formats.extension import ExtendedFormat
-from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
+from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
-from tiling.parquet_file import open_parquet
 
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
@@ -317,6 +316,26 @@ class _ParquetWriter(MapWriter):
         rest = table.slice(rows)
         self._gathered = [rest] if rest.num_rows else []
         self._rows, self._bytes = rest.num_rows, rest.nbytes
+
+
+@contextmanager
+def open_parquet(path: Path, **options: Any) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file of any name: Arrow itself takes names that are UTF-8, and no others.
+
+    Parameters
+    ----------
+    path : Path
+    options
+        Of `pyarrow.parquet.ParquetFile`.
+    """
+    with pa.OSFile(os.fsencode(path), "rb") as source, pq.ParquetFile(source, **options) as file:
+        yield file
+
+
+def row_count(path: Path) -> int:
+    """Return the number of rows of a file."""
+    with open_parquet(path) as file:
+        return int(file.metadata.num_rows)
 
 
 @contextmanager

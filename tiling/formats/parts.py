@@ -15,10 +15,9 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.durable import sync
 from tiling.errors import PointCountError
 from tiling.formats.base import MapWriter
-from tiling.output_file import create_shared, write_only
+from tiling.output_file import create_shared, sync, write_only
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader
 from tiling.formats.extension import ExtendedFormat, bytes_of, packed
-from tiling.formats.las.extra_bytes import RECORD_ID, USER_ID, extended_descriptors
+from tiling.formats.las.fields import RECORD_ID, USER_ID, extended_descriptors
 from tiling.formats.las.header import (
     AT_POINTS_OFFSET,
     AT_RECORD_LENGTH,

@@ -16,8 +16,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.coordinates import coordinate_names
-from tiling.formats.points import Field
+from tiling.formats.points import Field, coordinate_names
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 _ALIGNMENT = 64

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.coordinates import COORDINATES
 from tiling.formats.extension import ExtendedFormat, joined, packed
 from tiling.formats.leftover import check_leftover
 from tiling.formats.numpy.arrays import ArrayHeader, RowReader, RowWriter, read_array_header
 from tiling.formats.numpy.npy import array_fields
-from tiling.formats.points import Field, MapDescription, PointBatch
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
