@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.compiled import compiled, helper
-from tiling.morton import ascending_order
 
 FINEST_CELL = 0.25
 """Side of a column of the occupancy lattice, metres, before any coarsening."""
@@ -21,7 +20,6 @@ MOST_COLUMNS = 2_000_000
 FARTHEST = 2.0**38
 """Metres from the origin; points beyond are counted in the column at the edge."""
 
-_LARGEST_KEY = 2**62
 _FIRST_CAPACITY = 1 << 12
 _FIRST_MULTIPLIER = np.int64(-7046029254386353131)  # 2^64 / golden ratio, as int64
 _SECOND_MULTIPLIER = np.int64(-4417276706812531889)  # a prime of xxHash, as int64
@@ -94,30 +92,6 @@ def count_within(
     return np.asarray(_sums_within(occupancy.columns, totals, begins, ends))
 
 
-def combined(first: Occupancy, second: Occupancy) -> Occupancy:
-    """Return the counts of two parts of a map together, gone through once in their order."""
-    cell = max(first.cell, second.cell)
-    while True:
-        first, second = _coarsened(first, cell), _coarsened(second, cell)
-        room = len(first.counts) + len(second.counts)
-        columns, counts = np.empty((room, 2), np.int64), np.empty(room, np.int64)
-        occupied = _merge_columns(
-            first.columns, first.counts, second.columns, second.counts, columns, counts
-        )
-        if occupied <= MOST_COLUMNS:
-            return Occupancy(cell, columns[:occupied], counts[:occupied])
-        cell *= 2
-
-
-def _coarsened(occupancy: Occupancy, cell: float) -> Occupancy:
-    """Return the counts on a lattice of cells that are as wide, or wider."""
-    if occupancy.cell == cell:
-        return occupancy
-    counter = ColumnCounter(cell)
-    counter.add(occupancy)
-    return counter.occupancy()
-
-
 def _first_columns(edge: NDArray[np.float64], cell: float) -> Columns:
     """Return the first column whose middle is at an edge or after it."""
     # The middle is half a cell from where the column begins.
@@ -154,13 +128,15 @@ class ColumnCounter:
             self._extend()
 
     def add(self, occupancy: Occupancy) -> None:
-        """Count the points of an occupancy whose cells are no wider."""
+        """Count the points of an occupancy."""
+        while self.cell < occupancy.cell:
+            self._coarsen()
         self._add_columns(occupancy.columns, occupancy.counts, occupancy.cell)
 
     def occupancy(self) -> Occupancy:
         """Return the counts so far."""
         columns, counts = self._entries()
-        order = _lexicographic_order(columns)
+        order = np.lexsort((columns[:, 1], columns[:, 0]))
         return Occupancy(self.cell, columns.take(order, axis=0), counts.take(order))
 
     @property
@@ -205,17 +181,6 @@ class ColumnCounter:
         used = np.flatnonzero(self._counts)
         # Pairs are taken several times faster than by an index in brackets.
         return self._columns.take(used, axis=0), self._counts.take(used)
-
-
-def _lexicographic_order(columns: Columns) -> NDArray[np.intp]:
-    """Return the order of distinct columns by x, and by y where x is the same."""
-    if not len(columns):
-        return np.zeros(0, np.intp)
-    x, y = columns.T.copy()
-    lines, in_line = (int(along.max()) - int(along.min()) + 1 for along in (x, y))
-    if lines * in_line > _LARGEST_KEY:
-        return np.lexsort((y, x))
-    return ascending_order((x - x.min()) * in_line + (y - y.min()))
 
 
 @helper
@@ -285,39 +250,6 @@ def _count_columns(
             occupied += 1
         counts[slot] += added_counts[number]
     return len(added), occupied
-
-
-@compiled
-def _merge_columns(
-    first: Columns,
-    first_counts: NDArray[np.int64],
-    second: Columns,
-    second_counts: NDArray[np.int64],
-    columns: Columns,
-    counts: NDArray[np.int64],
-) -> int:
-    """Merge columns in lexicographic order, and return how many there are, equal ones added."""
-    one, other, occupied = 0, 0, 0
-    while one < len(first) or other < len(second):
-        if other == len(second):
-            order = -1
-        elif one == len(first):
-            order = 1
-        else:
-            order = first[one, 0] - second[other, 0]
-            if order == 0:
-                order = first[one, 1] - second[other, 1]
-        counts[occupied] = 0
-        if order <= 0:
-            columns[occupied, 0], columns[occupied, 1] = first[one, 0], first[one, 1]
-            counts[occupied] += first_counts[one]
-            one += 1
-        if order >= 0:
-            columns[occupied, 0], columns[occupied, 1] = second[other, 0], second[other, 1]
-            counts[occupied] += second_counts[other]
-            other += 1
-        occupied += 1
-    return occupied
 
 
 @compiled

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tiling.collection import MapCollection
 from tiling.compiled import compiled
 from tiling.formats.points import PointBatch
-from tiling.occupancy import ColumnCounter, Occupancy, combined
+from tiling.occupancy import ColumnCounter, Occupancy
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,15 +114,16 @@ def survey_batches(batches: Iterable[PointBatch]) -> Survey:
 
 def merge(parts: Iterable[Survey]) -> Survey:
     """Return the survey of several parts of a map together, in any order."""
-    whole = survey_batches([])
-    points, finite, occupancy = whole.point_count, whole.finite_count, whole.occupancy
+    points = finite = 0
+    minimum, maximum = _no_bounds()
+    counter = ColumnCounter()
     for part in parts:
         points += part.point_count
         finite += part.finite_count
-        np.minimum(whole.minimum, part.minimum, out=whole.minimum)
-        np.maximum(whole.maximum, part.maximum, out=whole.maximum)
-        occupancy = combined(occupancy, part.occupancy)
-    return Survey(points, finite, whole.minimum, whole.maximum, occupancy)
+        np.minimum(minimum, part.minimum, out=minimum)
+        np.maximum(maximum, part.maximum, out=maximum)
+        counter.add(part.occupancy)
+    return Survey(points, finite, minimum, maximum, counter.occupancy())
 
 
 def _no_bounds() -> NDArray[np.float64]:
