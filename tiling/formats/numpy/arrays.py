@@ -16,6 +16,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
+from tiling.formats.parts import put_records
 from tiling.formats.points import Field, coordinate_names
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
@@ -301,37 +302,28 @@ class RowReader:
             self._streams[-1].read(1)
 
 
-class RowWriter:
-    """Writes rows of an array of a known number of rows to their places, some at a time.
+def put_rows(
+    file: BinaryIO, header: ArrayHeader, row_count: int, first: int, rows: NDArray[np.void]
+) -> None:
+    """Write rows to their places in the file of an array; the header is for the caller to write.
 
     Parameters
     ----------
     file : binary file
-        Able to seek. The header in front of the rows is for the caller to write.
+        Able to seek.
     header : ArrayHeader
         Of the array to be like.
     row_count : int
         Rows that the array will have.
-    first_row : int
-        Where to begin.
+    first : int
+        Place of the first of the rows.
+    rows : (n,) array
+        As `RowReader.read` gives them.
     """
-
-    def __init__(
-        self, file: BinaryIO, header: ArrayHeader, row_count: int, first_row: int = 0
-    ) -> None:
-        self._file = file
-        self._header = header
-        self._row_count = row_count
-        self._row = first_row
-        self._start = len(header.encode(row_count))
-
-    def write(self, rows: NDArray[np.void]) -> None:
-        """Append rows, as `RowReader.read` gives them."""
-        columns = self._header.column_count
-        if self._header.row_bytes:
-            width = self._header.row_bytes // columns
-            table = rows.view(f"V{width}").reshape(-1, columns)
-            for column in range(columns):
-                self._file.seek(self._start + (column * self._row_count + self._row) * width)
-                self._file.write(np.ascontiguousarray(table[:, column]).view(np.uint8).data)
-        self._row += len(rows)
+    columns = header.column_count
+    if header.row_bytes:
+        start = len(header.encode(row_count))
+        width = header.row_bytes // columns
+        table = rows.view(f"V{width}").reshape(-1, columns)
+        for column in range(columns):
+            put_records(file, start + (column * row_count + first) * width, table[:, column])
