@@ -17,8 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import LARGEST_BATCH, MapReader, MapWriter
-from tiling.formats.extension import ExtendedFormat
+from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
 from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import PointCountError
-from tiling.formats.base import MapWriter
 from tiling.output_file import create_shared, sync, write_only
 
 
@@ -189,31 +188,6 @@ class MapPart:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
-
-
-class SinglePartWriter(MapWriter):
-    """Writes a map in one part.
-
-    Parameters
-    ----------
-    parts : PartWriter
-    """
-
-    def __init__(self, parts: PartWriter) -> None:
-        super().__init__(parts.path, parts.point_count)
-        parts.create()
-        self._parts = parts
-        self._part = parts.open_part(0)
-
-    def _append(self, records: Any) -> None:
-        self._part.write(records)
-
-    def _finish(self) -> None:
-        self._part.close()
-        self._parts.finish([self._part.summary])
-
-    def _abandon(self) -> None:
-        self._part.close()
 
 
 def member(kept: Any, name: str) -> Any:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader
-from tiling.formats.extension import ExtendedFormat, bytes_of, packed
+from tiling.formats.base import ExtendedFormat, MapReader
+from tiling.formats.extension import bytes_of, packed
 from tiling.formats.las.fields import RECORD_ID, USER_ID, extended_descriptors
 from tiling.formats.las.header import (
     AT_POINTS_OFFSET,

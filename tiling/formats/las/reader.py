@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
 from tiling.formats.las.fields import extra_fields, standard_fields
@@ -33,7 +33,7 @@ from tiling.formats.las.laz_header import Compression, read_compression
 from tiling.formats.las.laz_writer import LazWriter
 from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
 from tiling.formats.leftover import check_leftover
-from tiling.formats.parts import PartWriter, SinglePartWriter
+from tiling.formats.parts import PartWriter
 from tiling.formats.points import Field, MapDescription, PointBatch
 from tiling.grid import Grid, integers_in_records
 

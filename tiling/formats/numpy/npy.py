@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.extension import ExtendedFormat, ExtendedRecords
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import ExtendedRecords
 from tiling.formats.leftover import check_leftover
 from tiling.formats.numpy.arrays import ArrayHeader, RowReader, put_rows, read_array_header
-from tiling.formats.parts import PartWriter, SinglePartWriter
+from tiling.formats.parts import PartWriter
 from tiling.formats.points import Field, MapDescription, PointBatch
 
 _COLUMNS = ("x", "y", "z")

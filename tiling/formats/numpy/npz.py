@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.extension import ExtendedFormat, joined, packed
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
+from tiling.formats.extension import joined, packed
 from tiling.formats.leftover import check_leftover
 from tiling.formats.numpy.arrays import ArrayHeader, RowReader, put_rows, read_array_header
 from tiling.formats.numpy.npy import array_fields

@@ -9,10 +9,10 @@ from typing import Any, BinaryIO
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
-from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
+from tiling.formats.parts import PartWriter, put_records
 from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply.rows import PlyRows, open_rows
 from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
