@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from tiling.errors import PointCountError
 from tiling.output_file import create_shared, sync, write_only
 
+_BLOCK = 1 << 20
+
 
 @dataclass(slots=True)
 class PartSummary:
@@ -212,3 +214,18 @@ def put_records(file: BinaryIO, start: int, records: NDArray[Any]) -> None:
     """Write the bytes of an array of records from a byte of the file on."""
     file.seek(start)
     file.write(np.ascontiguousarray(records).view(np.uint8).data)
+
+
+def copy_spans(source: Path, target: BinaryIO, spans: Sequence[tuple[int, int]]) -> None:
+    """Append bytes of a file to another, each span from a byte to one before the end."""
+    if not spans:
+        return
+    with source.open("rb") as file:
+        for start, end in spans:
+            file.seek(start)
+            left = end - start
+            while left:
+                block = file.read(min(_BLOCK, left))
+                if not block:
+                    raise OSError(f"{source}: cut short while it was read")
+                left -= target.write(block)

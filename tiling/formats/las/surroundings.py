@@ -22,9 +22,7 @@ from tiling.formats.las.header import (
 )
 from tiling.formats.las.laz_header import is_laszip_record
 from tiling.formats.las.summary import LasSummary
-from tiling.formats.parts import PartSummary, PartWriter, put_records
-
-_COPY_STEP = 1 << 20
+from tiling.formats.parts import PartSummary, PartWriter, copy_spans, put_records
 
 
 def is_copc_index(record: VariableLengthRecord) -> bool:
@@ -69,11 +67,7 @@ class LasSurroundings:
 
     def write_after_points(self, file: BinaryIO) -> None:
         """Append EVLRs and waveform packets to a file that stands at the end of the points."""
-        if not self._pieces:
-            return
-        with self._header.path.open("rb") as source:
-            for start, end in self._pieces:
-                self._copy(source, file, start, end)
+        copy_spans(self._header.path, file, self._pieces)
 
     def completed_header(self, points_end: int, summary: LasSummary) -> bytes:
         """Return the header and VLRs with what depends on the points.
@@ -108,16 +102,6 @@ class LasSurroundings:
             if header.waveforms is not None and start == header.waveforms[0]:
                 struct.pack_into("<Q", block, AT_WAVEFORMS, position)
             position += end - start
-
-    def _copy(self, source: BinaryIO, target: BinaryIO, start: int, end: int) -> None:
-        """Append bytes of the input."""
-        source.seek(start)
-        while start < end:
-            part = source.read(min(_COPY_STEP, end - start))
-            if not part:
-                raise OSError(f"{self._header.path}: cut short while it was read")
-            target.write(part)
-            start += len(part)
 
 
 class LasPartWriter(PartWriter):
