@@ -5,9 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
-from tiling.durable import sync_path
 from tiling.ledger import note_file
-from tiling.output_file import check_place
+from tiling.output_file import check_place, sync_path
 
 TEMPORARY = ".part"
 """Suffix of a file that is being written; one that is left over belongs to a killed process."""

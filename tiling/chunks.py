@@ -6,27 +6,26 @@ one file, and `assemble` gathers the points of one tile from all those files.
 """
 
 from collections.abc import Iterable
+from datetime import date
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.atomic import atomic_file
 from tiling.chunk_store import Chunk, ChunkStore, joined
-from tiling.errors import ChunkError
+from tiling.errors import ChunkError, GridError
+from tiling.formats.parquet import open_parquet
+from tiling.output_file import create_file
 from tiling.pieces import read_tile
 
-_FORMATS = {"parquet": "chunks_parquet", "las": "chunks_las", "laz": "chunks_las"}
-
-
-class _Format(Protocol):
-    def write(self, path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
-        """Write a chunk."""
-
-    def read(self, path: Path) -> Chunk:
-        """Read a chunk; any error of the library used is let through."""
+_COLUMNS = ("x", "y", "z")
+_CREATED = date(1970, 1, 1)
+"""Of every chunk of LAS: the same points give the same bytes on any day."""
 
 
 def assemble(store: ChunkStore, tile: int) -> Chunk:
@@ -55,7 +54,7 @@ def assemble(store: ChunkStore, tile: int) -> Chunk:
     """
     chunk = read_tile(store, tile)
     with atomic_file(store.chunk_path(tile)) as temporary:
-        _format(store).write(temporary, chunk, store, tile)
+        (_write_parquet if store.format == "parquet" else _write_las)(temporary, chunk, store, tile)
     return chunk
 
 
@@ -77,7 +76,7 @@ def read_chunk(store: ChunkStore, tile: int) -> Chunk:
     if not has_chunk(store, tile):
         raise ChunkError(path, expected, "no such file")
     try:
-        chunk = _format(store).read(path)
+        chunk = (_read_parquet if store.format == "parquet" else _read_las)(path)
     except Exception as error:  # of pyarrow, laspy or lazrs, and each has many
         raise ChunkError(path, expected, " ".join(str(error).split())[:200]) from error
     core_count = int(store.layout.counts[tile])
@@ -123,6 +122,73 @@ def read_cores(
     return together.select(np.argsort(together.rows))
 
 
-def _format(store: ChunkStore) -> _Format:
-    module: Any = import_module(f"tiling.{_FORMATS[store.format]}")
-    return cast(_Format, module)
+def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
+    """Write a chunk; the tile's bounds and its halo are in the metadata of the schema."""
+    columns = {name: chunk.xyz[:, axis] for axis, name in enumerate(_COLUMNS)}
+    table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
+    table = table.replace_schema_metadata({"tile": store.describe(tile)})
+    # Coordinates hardly repeat, so dictionaries only cost time.
+    with create_file(path) as file:
+        pq.write_table(
+            table,
+            file,
+            row_group_size=max(len(chunk), 1),
+            use_dictionary=False,
+            write_statistics=False,
+            compression=store.compression,
+            compression_level=1 if store.compression == "zstd" else None,
+        )
+
+
+def _read_parquet(path: Path) -> Chunk:
+    chunk = _chunk_in_parquet(path)
+    # Arrow keeps what it freed: as much again as the chunk, all the time that it is worked on.
+    pa.default_memory_pool().release_unused()
+    return chunk
+
+
+def _chunk_in_parquet(path: Path) -> Chunk:
+    with open_parquet(path) as file:
+        table = file.read(use_threads=False)
+    xyz = np.empty((table.num_rows, 3))
+    for axis, name in enumerate(_COLUMNS):
+        xyz[:, axis] = table.column(name).to_numpy()
+    return Chunk(xyz, table.column("row").to_numpy().copy(), table.column("core").to_numpy())
+
+
+def _write_las(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
+    """Write a chunk; the tile's bounds and its halo are in a VLR."""
+    laspy: Any = import_module("laspy")  # takes long to import
+    assert store.grid is not None  # so says ChunkStore
+    held = store.grid.holds(chunk.xyz)
+    if not held.all():
+        raise GridError(str(store.chunk_path(tile)), chunk.xyz[~held][0])
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.creation_date = _CREATED
+    header.scales, header.offsets = np.array(store.grid.scales), np.array(store.grid.offsets)
+    header.add_extra_dims(
+        [
+            laspy.ExtraBytesParams("row", np.uint64, "row number in the map"),
+            laspy.ExtraBytesParams("core", np.uint8, "1 in the core, 0 in the halo"),
+        ]
+    )
+    data = store.describe(tile).encode()
+    header.vlrs.append(laspy.VLR("tiling", 1, "tile and halo, as JSON", data))
+    points = laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(len(chunk), header=header))
+    integers = store.grid.integers(chunk.xyz)
+    points.X, points.Y, points.Z = integers.T
+    points.row, points.core = chunk.rows, chunk.core
+    # The file is opened here because laspy goes by its suffix, and a temporary one has another.
+    with create_file(path) as file:
+        points.write(file, do_compress=store.format == "laz", laz_backend=laspy.LazBackend.Lazrs)
+
+
+def _read_las(path: Path) -> Chunk:
+    """Read a chunk."""
+    laspy: Any = import_module("laspy")
+    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
+        points = file.read()
+        integers = np.column_stack([points.X, points.Y, points.Z])
+        xyz = integers * file.header.scales + file.header.offsets
+    rows = np.asarray(points.row).astype(np.int64)
+    return Chunk(xyz, rows, np.asarray(points.core).astype(bool))

@@ -1,11 +1,10 @@
 """Loops over single bytes, points or columns, compiled by Numba, where NumPy has none for them."""
 
+import os
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import numba
-
-from tiling.private_folder import private_folder
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -13,23 +12,21 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(function: Function) -> Function:
     """Compile a function on its first call, and keep the machine code for later processes.
 
-    The code is kept in a folder that is the user's alone, see `tiling.private_folder`. Where there
-    is none (an installed container image run by a user with no home), each process compiles anew.
+    Numba keeps it in `$NUMBA_CACHE_DIR`, beside the source or in the user's cache. Where it can be
+    in none (an installed container image run by a user with no home), each process compiles anew.
     """
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    folder = private_folder("formats", str(before))
-    config.CACHE_DIR = before if folder is None else str(folder)  # numba looks at it here
+    # Without a home, Numba would take the current folder for one.
+    has_home = os.path.isabs(os.path.expanduser("~"))  # noqa: PTH111, PTH117
     try:
-        return cast(Function, numba.njit(cache=folder is not None, nogil=True)(function))
-    finally:
-        config.CACHE_DIR = before
+        return cast(Function, numba.njit(cache=has_home, nogil=True)(function))
+    except RuntimeError:
+        return cast(Function, numba.njit(nogil=True)(function))
 
 
 def helper(function: Function) -> Function:
     """Compile a function that compiled ones call for every point, byte or column.
 
     It allocates nothing: so the references to the arrays handed to it need not be counted, which
-    would take several times as long as what it does.
+    would take several times as long as what it does. `_nrt` is an option of Numba's own (0.68).
     """
     return cast(Function, numba.njit(nogil=True, _nrt=False)(function))

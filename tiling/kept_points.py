@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.collection import MapCollection
-from tiling.durable import sync
 from tiling.errors import ChunkError
 from tiling.formats.points import PointBatch
-from tiling.output_file import make_sized, write_only
+from tiling.output_file import make_sized, sync, write_only
 
 _COORDINATES = np.dtype((np.float64, 3))
 

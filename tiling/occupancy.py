@@ -4,13 +4,13 @@ The lattice is anchored at the coordinates' origin. Its cells are a power of two
 column of a point is exact, and the columns of a coarser lattice are those of a finer one halved.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.compiled import compiled, helper
-from tiling.morton import ascending_order
 
 FINEST_CELL = 0.25
 """Side of a column of the occupancy lattice, metres, before any coarsening."""
@@ -20,11 +20,6 @@ MOST_COLUMNS = 2_000_000
 
 FARTHEST = 2.0**38
 """Metres from the origin; points beyond are counted in the column at the edge."""
-
-_LARGEST_KEY = 2**62
-_FIRST_CAPACITY = 1 << 12
-_FIRST_MULTIPLIER = np.int64(-7046029254386353131)  # 2^64 / golden ratio, as int64
-_SECOND_MULTIPLIER = np.int64(-4417276706812531889)  # a prime of xxHash, as int64
 
 Columns = NDArray[np.int64]
 
@@ -94,30 +89,6 @@ def count_within(
     return np.asarray(_sums_within(occupancy.columns, totals, begins, ends))
 
 
-def combined(first: Occupancy, second: Occupancy) -> Occupancy:
-    """Return the counts of two parts of a map together, gone through once in their order."""
-    cell = max(first.cell, second.cell)
-    while True:
-        first, second = _coarsened(first, cell), _coarsened(second, cell)
-        room = len(first.counts) + len(second.counts)
-        columns, counts = np.empty((room, 2), np.int64), np.empty(room, np.int64)
-        occupied = _merge_columns(
-            first.columns, first.counts, second.columns, second.counts, columns, counts
-        )
-        if occupied <= MOST_COLUMNS:
-            return Occupancy(cell, columns[:occupied], counts[:occupied])
-        cell *= 2
-
-
-def _coarsened(occupancy: Occupancy, cell: float) -> Occupancy:
-    """Return the counts on a lattice of cells that are as wide, or wider."""
-    if occupancy.cell == cell:
-        return occupancy
-    counter = ColumnCounter(cell)
-    counter.add(occupancy)
-    return counter.occupancy()
-
-
 def _first_columns(edge: NDArray[np.float64], cell: float) -> Columns:
     """Return the first column whose middle is at an edge or after it."""
     # The middle is half a cell from where the column begins.
@@ -138,186 +109,40 @@ class ColumnCounter:
 
     def __init__(self, cell: float = FINEST_CELL) -> None:
         self.cell = cell
-        self._occupied = 0
-        self._make_room(_FIRST_CAPACITY)
+        self._parts = [Occupancy(cell, np.empty((0, 2), np.int64), np.empty(0, np.int64))]
 
-    def add_points(self, xyz: NDArray[np.float64]) -> int:
-        """Count points, and return how many of them are finite; others are passed over."""
-        at = finite = 0
-        while True:
-            at, self._occupied, more = _count_points(
-                xyz, at, 1 / self.cell, self._columns, self._counts, self._occupied, self._room
-            )
-            finite += more
-            if at == len(xyz):
-                return finite
-            self._extend()
+    def add_points(self, xyz: NDArray[np.float64]) -> None:
+        """Count points, whose coordinates are finite."""
+        points = Occupancy(self.cell, columns_of(xyz, self.cell), np.ones(len(xyz), np.int64))
+        self.add(_summed([points], self.cell))
 
     def add(self, occupancy: Occupancy) -> None:
-        """Count the points of an occupancy whose cells are no wider."""
-        self._add_columns(occupancy.columns, occupancy.counts, occupancy.cell)
+        """Count the points of an occupancy."""
+        self._parts.append(occupancy)
+        if sum(len(part.counts) for part in self._parts) > MOST_COLUMNS * 5 // 4:
+            self.occupancy()
 
     def occupancy(self) -> Occupancy:
         """Return the counts so far."""
-        columns, counts = self._entries()
-        order = _lexicographic_order(columns)
-        return Occupancy(self.cell, columns.take(order, axis=0), counts.take(order))
-
-    @property
-    def _room(self) -> int:
-        """Columns that may be occupied before more capacity is made, or cells are coarsened."""
-        return min(len(self._counts) // 2, MOST_COLUMNS)
-
-    def _add_columns(self, columns: Columns, counts: NDArray[np.int64], cell: float) -> None:
-        at = 0
-        while True:
-            # The cells may have become coarser on the way.
-            steps = round(np.log2(self.cell / cell))
-            at, self._occupied = _count_columns(
-                columns, counts, at, steps, self._columns, self._counts, self._occupied, self._room
-            )
-            if at == len(columns):
-                return
-            self._extend()
-
-    def _extend(self) -> None:
-        if self._occupied >= MOST_COLUMNS:
-            self._coarsen()
-        else:
-            self._rebuild(4 * len(self._counts), self.cell)
-
-    def _coarsen(self) -> None:
-        self._rebuild(len(self._counts), 2 * self.cell)
-
-    def _rebuild(self, capacity: int, cell: float) -> None:
-        columns, counts = self._entries()
-        old_cell, self.cell = self.cell, cell
-        self._make_room(capacity)
-        self._occupied = 0
-        self._add_columns(columns, counts, old_cell)
-
-    def _make_room(self, capacity: int) -> None:
-        """Make an empty table, whose slots have the count 0."""
-        self._columns = np.empty((capacity, 2), dtype=np.int64)
-        self._counts = np.zeros(capacity, dtype=np.int64)
-
-    def _entries(self) -> tuple[Columns, NDArray[np.int64]]:
-        used = np.flatnonzero(self._counts)
-        # Pairs are taken several times faster than by an index in brackets.
-        return self._columns.take(used, axis=0), self._counts.take(used)
+        self.cell = max(self.cell, *(part.cell for part in self._parts))
+        whole = _summed(self._parts, self.cell)
+        while len(whole.counts) > MOST_COLUMNS:
+            self.cell *= 2
+            whole = _summed([whole], self.cell)
+        self._parts = [whole]
+        return whole
 
 
-def _lexicographic_order(columns: Columns) -> NDArray[np.intp]:
-    """Return the order of distinct columns by x, and by y where x is the same."""
-    if not len(columns):
-        return np.zeros(0, np.intp)
-    x, y = columns.T.copy()
-    lines, in_line = (int(along.max()) - int(along.min()) + 1 for along in (x, y))
-    if lines * in_line > _LARGEST_KEY:
-        return np.lexsort((y, x))
-    return ascending_order((x - x.min()) * in_line + (y - y.min()))
-
-
-@helper
-def _slot_of(x: np.int64, y: np.int64, columns: Columns, counts: NDArray[np.int64]) -> np.int64:
-    """Return the slot of a column in a hash table with open addressing, or where it may go."""
-    mixed = x * _FIRST_MULTIPLIER ^ y * _SECOND_MULTIPLIER
-    slot = (mixed ^ mixed >> 29) & (len(counts) - 1)
-    while counts[slot] != 0 and (columns[slot, 0] != x or columns[slot, 1] != y):
-        slot = (slot + 1) & (len(counts) - 1)
-    return slot
-
-
-@compiled
-def _count_points(
-    xyz: NDArray[np.float64],
-    start: int,
-    cells_per_metre: float,
-    columns: Columns,
-    counts: NDArray[np.int64],
-    occupied: int,
-    room: int,
-) -> tuple[int, int, int]:
-    """Count points from `start` on, until a new column finds no room.
-
-    Returns the first point not counted, the columns occupied, and the finite points counted.
-    """
-    finite = 0
-    for point in range(start, len(xyz)):
-        x, y, z = xyz[point, 0], xyz[point, 1], xyz[point, 2]
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-            continue
-        column_x = np.int64(np.floor(min(max(x, -FARTHEST), FARTHEST) * cells_per_metre))
-        column_y = np.int64(np.floor(min(max(y, -FARTHEST), FARTHEST) * cells_per_metre))
-        slot = _slot_of(column_x, column_y, columns, counts)
-        if counts[slot] == 0:
-            if occupied == room:
-                return point, occupied, finite
-            columns[slot, 0], columns[slot, 1] = column_x, column_y
-            occupied += 1
-        counts[slot] += 1
-        finite += 1
-    return len(xyz), occupied, finite
-
-
-@compiled
-def _count_columns(
-    added: Columns,
-    added_counts: NDArray[np.int64],
-    start: int,
-    steps: int,
-    columns: Columns,
-    counts: NDArray[np.int64],
-    occupied: int,
-    room: int,
-) -> tuple[int, int]:
-    """Add counts of columns of cells 2^steps times finer, until a new column finds no room.
-
-    Returns the first column not added, and the columns occupied.
-    """
-    for number in range(start, len(added)):
-        x, y = added[number, 0] >> steps, added[number, 1] >> steps
-        slot = _slot_of(x, y, columns, counts)
-        if counts[slot] == 0:
-            if occupied == room:
-                return number, occupied
-            columns[slot, 0], columns[slot, 1] = x, y
-            occupied += 1
-        counts[slot] += added_counts[number]
-    return len(added), occupied
-
-
-@compiled
-def _merge_columns(
-    first: Columns,
-    first_counts: NDArray[np.int64],
-    second: Columns,
-    second_counts: NDArray[np.int64],
-    columns: Columns,
-    counts: NDArray[np.int64],
-) -> int:
-    """Merge columns in lexicographic order, and return how many there are, equal ones added."""
-    one, other, occupied = 0, 0, 0
-    while one < len(first) or other < len(second):
-        if other == len(second):
-            order = -1
-        elif one == len(first):
-            order = 1
-        else:
-            order = first[one, 0] - second[other, 0]
-            if order == 0:
-                order = first[one, 1] - second[other, 1]
-        counts[occupied] = 0
-        if order <= 0:
-            columns[occupied, 0], columns[occupied, 1] = first[one, 0], first[one, 1]
-            counts[occupied] += first_counts[one]
-            one += 1
-        if order >= 0:
-            columns[occupied, 0], columns[occupied, 1] = second[other, 0], second[other, 1]
-            counts[occupied] += second_counts[other]
-            other += 1
-        occupied += 1
-    return occupied
+def _summed(parts: Sequence[Occupancy], cell: float) -> Occupancy:
+    """Return the counts of all parts on a lattice of cells that are as wide as theirs, or wider."""
+    steps = [round(np.log2(cell / part.cell)) for part in parts]
+    columns = np.concatenate([part.columns >> n for part, n in zip(parts, steps, strict=True)])
+    counts = np.concatenate([part.counts for part in parts])
+    order = np.lexsort((columns[:, 1], columns[:, 0]))
+    columns, counts = columns.take(order, axis=0), counts.take(order)
+    starts = np.flatnonzero((np.diff(columns, axis=0, prepend=columns[:1] - 1) != 0).any(axis=1))
+    sums = np.add.reduceat(counts, starts) if len(starts) else counts
+    return Occupancy(cell, columns.take(starts, axis=0), sums)
 
 
 @compiled

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.base import MapReader
-from tiling.formats.coordinates import coordinate_names
-from tiling.formats.points import MapDescription
+from tiling.formats.points import MapDescription, coordinate_names
 
 COARSE = 0.01
 """Metres. The method measures the room that 75 neighbours take, which are centimetres apart: a

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.collection import MapCollection
-from tiling.compiled import compiled
 from tiling.formats.points import PointBatch
-from tiling.occupancy import ColumnCounter, Occupancy, combined
+from tiling.occupancy import ColumnCounter, Occupancy
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,39 +101,32 @@ def survey(collection: MapCollection, rows: range | None = None) -> Survey:
 
 def survey_batches(batches: Iterable[PointBatch]) -> Survey:
     """Survey a stream of points; see `survey`."""
-    points = finite = 0
-    bounds = _no_bounds()
+    points = finite_count = 0
+    minimum, maximum = _no_bounds()
     counter = ColumnCounter()
     for batch in batches:
+        finite = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
         points += len(batch.xyz)
-        finite += counter.add_points(batch.xyz)
-        _widen(bounds, batch.xyz)
-    return Survey(points, finite, bounds[0], bounds[1], counter.occupancy())
+        finite_count += len(finite)
+        minimum = np.minimum(minimum, finite.min(axis=0, initial=np.inf))
+        maximum = np.maximum(maximum, finite.max(axis=0, initial=-np.inf))
+        counter.add_points(finite)
+    return Survey(points, finite_count, minimum, maximum, counter.occupancy())
 
 
 def merge(parts: Iterable[Survey]) -> Survey:
     """Return the survey of several parts of a map together, in any order."""
-    whole = survey_batches([])
-    points, finite, occupancy = whole.point_count, whole.finite_count, whole.occupancy
+    points = finite = 0
+    minimum, maximum = _no_bounds()
+    counter = ColumnCounter()
     for part in parts:
         points += part.point_count
         finite += part.finite_count
-        np.minimum(whole.minimum, part.minimum, out=whole.minimum)
-        np.maximum(whole.maximum, part.maximum, out=whole.maximum)
-        occupancy = combined(occupancy, part.occupancy)
-    return Survey(points, finite, whole.minimum, whole.maximum, occupancy)
+        np.minimum(minimum, part.minimum, out=minimum)
+        np.maximum(maximum, part.maximum, out=maximum)
+        counter.add(part.occupancy)
+    return Survey(points, finite, minimum, maximum, counter.occupancy())
 
 
 def _no_bounds() -> NDArray[np.float64]:
     return np.array([[np.inf] * 3, [-np.inf] * 3])
-
-
-@compiled
-def _widen(bounds: NDArray[np.float64], xyz: NDArray[np.float64]) -> None:
-    """Make bounds (minimum, maximum) hold the finite points too."""
-    for point in range(len(xyz)):
-        x, y, z = xyz[point, 0], xyz[point, 1], xyz[point, 2]
-        if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
-            for axis in range(3):
-                bounds[0, axis] = min(bounds[0, axis], xyz[point, axis])
-                bounds[1, axis] = max(bounds[1, axis], xyz[point, axis])

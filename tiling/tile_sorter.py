@@ -44,9 +44,10 @@ class TileSorter:
         Where they would be more than `most`, they come in several parts.
         """
         tiles = self._layout.tile_of(xyz)
-        starts, others = self._tables(tiles)
+        fixed = (xyz, tiles, *self._tables(tiles), self._inner, self._reached, first_row)
         counts = np.zeros(len(self._layout), np.int64)
-        _count(xyz, tiles, starts, others, self._inner, self._reached, counts)
+        nowhere = np.empty((0, 4))
+        _place(*fixed, counts, nowhere, nowhere.view(np.int64))
         total = int(counts.sum())
         if total > most and len(xyz) > 1:
             middle = len(xyz) // 2
@@ -54,19 +55,7 @@ class TileSorter:
             yield from self.by_tile(xyz[middle:], first_row + middle, most)
             return
         points = np.empty((total, 4))
-        places = np.cumsum(counts) - counts
-        _place(
-            xyz,
-            tiles,
-            starts,
-            others,
-            self._inner,
-            self._reached,
-            first_row,
-            places,
-            points,
-            points.view(np.int64),
-        )
+        _place(*fixed, np.cumsum(counts) - counts, points, points.view(np.int64))
         yield points, counts
 
     def _tables(self, tiles: NDArray[np.int32]) -> tuple[Integers, Integers]:
@@ -98,30 +87,6 @@ def _is_inside(x: float, y: float, boxes: Boxes, tile: int) -> bool:
 
 
 @compiled
-def _count(
-    xyz: Points,
-    tiles: NDArray[np.int32],
-    starts: Integers,
-    others: Integers,
-    inner: Boxes,
-    reached: Boxes,
-    counts: Integers,
-) -> None:
-    """Count the points of each tile, in its core and in its halo."""
-    for point in range(len(xyz)):
-        tile = tiles[point]
-        if tile == NO_TILE:
-            continue
-        counts[tile] += 1
-        if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
-            continue
-        for place in range(starts[tile], starts[tile + 1]):
-            other = others[place]
-            if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
-                counts[other] += 1
-
-
-@compiled
 def _place(
     xyz: Points,
     tiles: NDArray[np.int32],
@@ -134,21 +99,27 @@ def _place(
     points: Points,
     marks: Integers,
 ) -> None:
-    """Put each point at the next place of each of its tiles; `marks` are the same bytes."""
+    """Put each point at the next place of each of its tiles; `marks` are the same bytes.
+
+    Where there is no room at all, places are only counted.
+    """
+    counts_only = len(points) == 0
     for point in range(len(xyz)):
         tile = tiles[point]
         if tile == NO_TILE:
             continue
-        for axis in range(3):
-            points[places[tile], axis] = xyz[point, axis]
-        marks[places[tile], 3] = first_row + point
+        if not counts_only:
+            for axis in range(3):
+                points[places[tile], axis] = xyz[point, axis]
+            marks[places[tile], 3] = first_row + point
         places[tile] += 1
         if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
             continue
         for place in range(starts[tile], starts[tile + 1]):
             other = others[place]
             if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
-                for axis in range(3):
-                    points[places[other], axis] = xyz[point, axis]
-                marks[places[other], 3] = ~(first_row + point)
+                if not counts_only:
+                    for axis in range(3):
+                        points[places[other], axis] = xyz[point, axis]
+                    marks[places[other], 3] = ~(first_row + point)
                 places[other] += 1

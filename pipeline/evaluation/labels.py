@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, EvaluationError
 from tiling.collection import MapCollection
-from tiling.formats.coordinates import coordinate_names
 from tiling.formats.field_values import field_values
-from tiling.formats.points import DEFAULT_BATCH
-from tiling.parquet_file import open_parquet
+from tiling.formats.parquet import open_parquet
+from tiling.formats.points import DEFAULT_BATCH, coordinate_names
 
 MOVING_COLUMN = "moving"
 """The column of `truth.parquet`, as `simulate` writes it."""

@@ -27,9 +27,8 @@ from pipeline.replacing import (
     refuse_to_replace,
     remove_half_published,
 )
-from tiling.durable import sync_path
 from tiling.formats import MapReader
-from tiling.output_file import create_file, writing_only_into
+from tiling.output_file import create_file, sync_path, writing_only_into
 
 __all__ = [
     "CONFIGURATION_FILE",

@@ -17,8 +17,8 @@ from pipeline.outputs.modes import DENSITY, LABEL, own_names
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.field_values import field_values
+from tiling.formats.parquet import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
-from tiling.parquet_file import open_parquet
 
 Points = NDArray[np.float64]
 Labels = NDArray[np.uint8]

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from tiling.durable import sync
-from tiling.output_file import create_file, write_only
+from tiling.output_file import create_file, sync, write_only
 
 _AT_A_TIME = 1 << 22
 

@@ -18,7 +18,7 @@ from pipeline.outputs import folder_lock
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
-from tiling import durable
+from tiling import output_file
 
 TWO_WORKERS = [*TILED[:3], "execution.workers=2", "tiling.max_points=150", "tiling.halo=0.5"]
 
@@ -73,7 +73,7 @@ def test_where_nothing_waits_for_the_disk_a_run_warns_once(
     def refused(handle):
         raise OSError(fault, os.strerror(fault))
 
-    durable._warn_once.cache_clear()
+    output_file._warn_once.cache_clear()
     monkeypatch.setattr(os, "fsync", refused)
     clean(given, tmp_path / "out", settings)
     results(tmp_path / "out")

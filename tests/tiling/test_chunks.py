@@ -48,7 +48,7 @@ import sys
 from pathlib import Path
 import numpy as np
 import pyarrow as pa
-from tiling import chunks_parquet
+from tiling.chunks import _read_parquet, _write_parquet
 from tiling.chunk_store import Chunk, ChunkStore
 from tiling.layout import quadtree
 from tiling.occupancy import ColumnCounter
@@ -62,10 +62,10 @@ counter = ColumnCounter()
 counter.add_points(xyz)
 store = ChunkStore(Path(), quadtree(counter.occupancy(), 2_000_000), 0.0, len(xyz))
 chunk = Chunk(xyz, np.arange(len(xyz)), np.ones(len(xyz), np.bool_))
-chunks_parquet.write(Path(sys.argv[1]), chunk, store, 0)
+_write_parquet(Path(sys.argv[1]), chunk, store, 0)
 pa.default_memory_pool().release_unused()
 before = held()
-again = chunks_parquet.read(Path(sys.argv[1]))
+again = _read_parquet(Path(sys.argv[1]))
 print(held() - before)
 """
 

@@ -17,7 +17,6 @@ from tiling.errors import MapFormatError, PointCountError
 from tiling.formats import open_map
 from tiling.formats.las.fields import standard_fields
 from tiling.formats.las.header import read_header
-from tiling.formats.las.laz import laszip_is_installed
 from tiling.formats.las.reader import LasReader
 
 VERSION_AND_FORMATS = [
@@ -302,13 +301,9 @@ def test_chunk_tables_are_not_needed_where_chunks_have_one_size(shared_data):
     assert damaged.tobytes() == intact.tobytes()
 
 
-def test_version_4_items_are_read_by_laszip_or_refused(shared_data, monkeypatch):
+def test_version_4_items_are_read_by_laszip(shared_data):
     reader = LasReader(shared_data / "formats" / VERSION_4_ITEMS)
-    if laszip_is_installed():
-        assert len(records_of(reader, 100)) == 1024
-    monkeypatch.setattr("tiling.formats.las.reader.laszip_is_installed", lambda: False)
-    with pytest.raises(MapFormatError, match="version 4 with several scanner channels"):
-        records_of(reader)
+    assert len(records_of(reader, 100)) == 1024
 
 
 def test_copc_is_written_as_plain_laz(shared_data, tmp_path):

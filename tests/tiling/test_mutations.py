@@ -5,19 +5,36 @@ and numbers of the header made others. It ends in a success that gives as many p
 then counts, or in one short line; never in a traceback, a screen of text or a heap of memory.
 """
 
+import io
 import random
 import re
 import tracemalloc
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
-from tests.tiling.test_leftover import COUNT, MAKERS
+from tests.tiling.test_leftover import COUNT, MAKERS, POINTS
 from tiling.collection import MapCollection
 from tiling.errors import TilingError
 from tiling.formats import open_map
 
 TIMES = 60
 MOST_BYTES = 200e6
+
+
+def parquet(row_groups: int) -> bytes:
+    file = io.BytesIO()
+    table = pa.table(dict(zip("xyz", POINTS.T, strict=True)))
+    pq.write_table(table, file, row_group_size=COUNT // row_groups, store_schema=False)
+    return file.getvalue()
+
+
+FILES = {
+    **{name: make(COUNT) for name, make in MAKERS.items()},
+    "map.parquet": parquet(1),
+    "groups.parquet": parquet(2),
+}
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:
@@ -45,9 +62,9 @@ def mutated(content: bytes, chance: random.Random) -> bytes:
     return bytes(edited)
 
 
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("name", FILES)
 def test_a_damaged_file_is_read_in_full_or_refused(tmp_path, name):
-    content = MAKERS[name](COUNT)
+    content = FILES[name]
     path = tmp_path / name
     chance = random.Random(name)
     tracemalloc.start()

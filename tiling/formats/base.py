@@ -10,18 +10,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import PartsError, PointCountError
+from tiling.formats.parts import PartWriter
 from tiling.formats.points import DEFAULT_BATCH, Field, MapDescription, PointBatch, checked_rows
-
-if TYPE_CHECKING:
-    from tiling.formats.extension import ExtendedFormat
-    from tiling.formats.parts import PartWriter
-
 
 LARGEST_BATCH = 1 << 26
 """Bytes of records in a batch, however many points the caller allows."""
@@ -79,6 +75,31 @@ class MapWriter(ABC):
     @abstractmethod
     def _abandon(self) -> None:
         """Close what is open, and leave the half-written file to the caller."""
+
+
+class SinglePartWriter(MapWriter):
+    """Writes a map in one part.
+
+    Parameters
+    ----------
+    parts : PartWriter
+    """
+
+    def __init__(self, parts: PartWriter) -> None:
+        super().__init__(parts.path, parts.point_count)
+        parts.create()
+        self._parts = parts
+        self._part = parts.open_part(0)
+
+    def _append(self, records: Any) -> None:
+        self._part.write(records)
+
+    def _finish(self) -> None:
+        self._part.close()
+        self._parts.finish([self._part.summary])
+
+    def _abandon(self) -> None:
+        self._part.close()
 
 
 class MapReader(ABC):
@@ -177,7 +198,7 @@ class MapReader(ABC):
         """Whether several processes can write one output at once, see `part_writer`."""
         return False
 
-    def part_writer(self, path: Path, point_count: int) -> "PartWriter":
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return what writes, in parts, the very file that `writer` writes as a stream.
 
         Raises
@@ -186,3 +207,52 @@ class MapReader(ABC):
             When the format has no place for a point before those before it are written.
         """
         raise PartsError(self.description.path, self.description.format)
+
+
+class ExtendedFormat(ABC):
+    """How maps like another are written, with further fields.
+
+    Parameters
+    ----------
+    model : MapReader
+        Whose writers write the extended points. It describes them, and is never read from.
+    fields : sequence of Field
+        The further fields, each of one value.
+    """
+
+    def __init__(self, model: MapReader, fields: Sequence[Field]) -> None:
+        self._model = model
+        self.fields = tuple(fields)
+
+    def writer(self, path: Path, point_count: int) -> MapWriter:
+        """Open a writer of extended points; see `MapReader.writer`."""
+        return self._model.writer(path, point_count)
+
+    @property
+    def writes_parts(self) -> bool:
+        """Whether several processes can write one output at once; see `MapReader.part_writer`."""
+        return self._model.writes_parts
+
+    def part_writer(self, path: Path, point_count: int) -> PartWriter:
+        """Return a writer of extended points in parts; see `MapReader.part_writer`."""
+        return self._model.part_writer(path, point_count)
+
+    @abstractmethod
+    def extend(
+        self,
+        batch: PointBatch,
+        values: Sequence[NDArray[Any]],
+        classification: NDArray[np.uint8] | None = None,
+    ) -> Any:
+        """Return the records of a batch with further values, for the writers.
+
+        Parameters
+        ----------
+        batch : PointBatch
+            From the reader of the map that is extended.
+        values : sequence of (n,) arrays
+            One for each of `fields`.
+        classification : (n,) uint8 array, optional
+            Classes that take the place of the points' own, where the format has them; elsewhere
+            they are not looked at.
+        """

@@ -4,69 +4,17 @@ An `ExtendedFormat` writes them, and extends points that the reader of the other
 point had stays as it was stored; new values stand behind it, of the types that the format has.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.parts import PartWriter
+from tiling.formats.base import ExtendedFormat, MapReader
 from tiling.formats.points import Field, PointBatch
 
 if TYPE_CHECKING:
     from tiling.formats.text_rows import TextRows  # compiled: takes long to import
-
-
-class ExtendedFormat(ABC):
-    """How maps like another are written, with further fields.
-
-    Parameters
-    ----------
-    model : MapReader
-        Whose writers write the extended points. It describes them, and is never read from.
-    fields : sequence of Field
-        The further fields, each of one value.
-    """
-
-    def __init__(self, model: MapReader, fields: Sequence[Field]) -> None:
-        self._model = model
-        self.fields = tuple(fields)
-
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of extended points; see `MapReader.writer`."""
-        return self._model.writer(path, point_count)
-
-    @property
-    def writes_parts(self) -> bool:
-        """Whether several processes can write one output at once; see `MapReader.part_writer`."""
-        return self._model.writes_parts
-
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer of extended points in parts; see `MapReader.part_writer`."""
-        return self._model.part_writer(path, point_count)
-
-    @abstractmethod
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> Any:
-        """Return the records of a batch with further values, for the writers.
-
-        Parameters
-        ----------
-        batch : PointBatch
-            From the reader of the map that is extended.
-        values : sequence of (n,) arrays
-            One for each of `fields`.
-        classification : (n,) uint8 array, optional
-            Classes that take the place of the points' own, where the format has them; elsewhere
-            they are not looked at.
-        """
 
 
 class ExtendedRecords(ExtendedFormat):

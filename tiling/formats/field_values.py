@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.base import MapReader
+from tiling.formats.parquet import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
-from tiling.parquet_file import open_parquet
 
 
 def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:

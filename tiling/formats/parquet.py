@@ -1,6 +1,7 @@
 """Parquet maps: columns x, y and z and whatever else, read and written through pyarrow."""
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -16,14 +17,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import LARGEST_BATCH, MapReader, MapWriter
-from tiling.formats.coordinates import coordinate_names
-from tiling.formats.extension import ExtendedFormat
-from tiling.formats.parquet_sizes import check_sizes
-from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
+from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
+from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
-from tiling.parquet_file import open_parquet
 
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
@@ -32,6 +29,8 @@ _LONGEST_ROW_GROUP = 1 << 20
 """Rows of a row group that the writer gathers in memory, at most."""
 _LARGEST_ROW_GROUP = 1 << 28
 """Their bytes, at most."""
+_VALUE_BYTES = 8
+"""Of a value in memory, at least, where repetitions are stored as such."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +52,9 @@ class _Layout:
         Compression of each column, by its path, as pyarrow names it.
     group_rows : int
         Rows of the largest row group; 0 where there are none.
+    bytes_per_row : int
+        Bytes that a row takes in memory, on average; values that are stored once and referred to
+        count once.
     has_int96 : bool
         Whether there are time stamps in the form of 96 bits that Spark and Impala used to write.
     has_arrow_schema : bool
@@ -64,6 +66,7 @@ class _Layout:
 
     codecs: dict[str, str]
     group_rows: int
+    bytes_per_row: int
     has_int96: bool
     has_arrow_schema: bool
     has_compliant_lists: bool
@@ -80,14 +83,19 @@ class _Layout:
         if sum(rows) != metadata.num_rows or min(rows, default=0) < 0:
             expected = f"{metadata.num_rows} rows in the row groups, as the footer says"
             raise MapFormatError(path, expected, f"{sum(rows)}", at="the footer")
-        codecs = {}
+        codecs, values = {}, 0
         for group in groups[:1]:
             for number in range(metadata.num_columns):
                 chunk = metadata.row_group(group).column(number)
                 codecs[chunk.path_in_schema] = chunk.compression
+                values += chunk.num_values
+        stored = sum(metadata.row_group(number).total_byte_size for number in groups)
         return cls(
             codecs=codecs,
             group_rows=max(rows, default=0),
+            bytes_per_row=max(
+                stored // max(metadata.num_rows, 1), _VALUE_BYTES * values // max([1, *rows[:1]])
+            ),
             has_int96=any(column.physical_type == "INT96" for column in columns),
             has_arrow_schema=_ARROW_SCHEMA in (metadata.metadata or {}),
             has_compliant_lists=not any(".list.item" in column.path for column in columns),
@@ -129,7 +137,6 @@ class ParquetReader(MapReader):
     def __init__(self, path: Path) -> None:
         self._path = path
         _check_signature(path)
-        self._bytes_per_row = check_sizes(path)
         with _opened(path) as file:
             stored = file.metadata.metadata or {}
             kept = {key: value for key, value in stored.items() if key != _ARROW_SCHEMA}
@@ -158,7 +165,7 @@ class ParquetReader(MapReader):
     @property
     def bytes_per_point(self) -> int:
         """Bytes of a row on average; see `MapReader.bytes_per_point`."""
-        return self._bytes_per_row
+        return self._layout.bytes_per_row
 
     @property
     def seekable(self) -> bool:
@@ -308,6 +315,26 @@ class _ParquetWriter(MapWriter):
         rest = table.slice(rows)
         self._gathered = [rest] if rest.num_rows else []
         self._rows, self._bytes = rest.num_rows, rest.nbytes
+
+
+@contextmanager
+def open_parquet(path: Path, **options: Any) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file of any name: Arrow itself takes names that are UTF-8, and no others.
+
+    Parameters
+    ----------
+    path : Path
+    options
+        Of `pyarrow.parquet.ParquetFile`.
+    """
+    with pa.OSFile(os.fsencode(path), "rb") as source, pq.ParquetFile(source, **options) as file:
+        yield file
+
+
+def row_count(path: Path) -> int:
+    """Return the number of rows of a file."""
+    with open_parquet(path) as file:
+        return int(file.metadata.num_rows)
 
 
 @contextmanager

@@ -15,10 +15,10 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.durable import sync
 from tiling.errors import PointCountError
-from tiling.formats.base import MapWriter
-from tiling.output_file import create_shared, write_only
+from tiling.output_file import create_shared, sync, write_only
+
+_BLOCK = 1 << 20
 
 
 @dataclass(slots=True)
@@ -192,31 +192,6 @@ class MapPart:
         self.close()
 
 
-class SinglePartWriter(MapWriter):
-    """Writes a map in one part.
-
-    Parameters
-    ----------
-    parts : PartWriter
-    """
-
-    def __init__(self, parts: PartWriter) -> None:
-        super().__init__(parts.path, parts.point_count)
-        parts.create()
-        self._parts = parts
-        self._part = parts.open_part(0)
-
-    def _append(self, records: Any) -> None:
-        self._part.write(records)
-
-    def _finish(self) -> None:
-        self._part.close()
-        self._parts.finish([self._part.summary])
-
-    def _abandon(self) -> None:
-        self._part.close()
-
-
 def member(kept: Any, name: str) -> Any:
     """Return a member of an object that was read from JSON; raise a `ValueError` if it has none."""
     if not isinstance(kept, dict) or name not in kept:
@@ -239,3 +214,18 @@ def put_records(file: BinaryIO, start: int, records: NDArray[Any]) -> None:
     """Write the bytes of an array of records from a byte of the file on."""
     file.seek(start)
     file.write(np.ascontiguousarray(records).view(np.uint8).data)
+
+
+def copy_spans(source: Path, target: BinaryIO, spans: Sequence[tuple[int, int]]) -> None:
+    """Append bytes of a file to another, each span from a byte to one before the end."""
+    if not spans:
+        return
+    with source.open("rb") as file:
+        for start, end in spans:
+            file.seek(start)
+            left = end - start
+            while left:
+                block = file.read(min(_BLOCK, left))
+                if not block:
+                    raise OSError(f"{source}: cut short while it was read")
+                left -= target.write(block)

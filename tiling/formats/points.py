@@ -1,6 +1,6 @@
 """Points on their way from a reader to whoever asks for them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -15,6 +15,9 @@ from tiling.grid import Grid
 
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
+
+
+COORDINATES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,3 +166,22 @@ def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch
             yield part
         if batch.first_row + len(batch.xyz) >= rows.stop:
             return
+
+
+def coordinate_names(names: Collection[str]) -> tuple[str, str, str] | None:
+    """Find the fields that hold the coordinates.
+
+    Parameters
+    ----------
+    names : collection of str
+        The names of all fields.
+
+    Returns
+    -------
+    tuple of str or None
+        `("x", "y", "z")` where there are such fields, else `("X", "Y", "Z")`, else None.
+    """
+    for x, y, z in (COORDINATES, ("X", "Y", "Z")):
+        if x in names and y in names and z in names:
+            return x, y, z
+    return None

@@ -1,12 +1,14 @@
 """Points written as lines of numbers: the coordinates are parsed, the text itself is kept.
 
 A row that stays in the map goes back to the output byte for byte, so no digit of any field is
-rounded, reformatted or lost. Every value must still be a number; only the three coordinates are
-converted, by Arrow, whose result is the float64 nearest to the text.
+rounded, reformatted or lost. Every value must be a number: Arrow converts them all, and its result
+is the float64 nearest to the text.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
@@ -24,11 +26,11 @@ LONGEST_VALUE = 512
 """Bytes that one value and the blanks around it may take on average, in a row."""
 
 _TAB, _LINE_FEED, _RETURN, _BLANK = 9, 10, 13, 32
-_PLUS, _MINUS, _POINT, _ZERO, _NINE = (ord(c) for c in "+-.09")
-_OPENING, _CLOSING, _UNDERSCORE = (ord(c) for c in "()_")
-_LOWER_CASE = 32
-_A, _E, _F, _I, _N, _T, _Y, _Z = (ord(c) for c in "aefintyz")
-_FINE, _NOT_A_NUMBER, _WRONG_COUNT = 0, 1, 2
+
+_NUMBER = re.compile(
+    rb"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan(?:\(\w*\))?|inf|infinity)", re.IGNORECASE
+)
+"""What C's `strtod` takes in the decimal system: `-1`, `2.`, `.5e-3`, `inf`, `nan(0x7)`."""
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.int64]
@@ -201,33 +203,46 @@ def parse_rows(
     limit = min(limit, (len(text) - position) // (2 * layout.values) + 1)
     starts = np.empty(limit, dtype=np.int64)
     stops = np.empty(limit, dtype=np.int64)
-    digits = np.empty(len(text) - position, dtype=np.uint8)
-    bounds = np.zeros(3 * limit + 1, dtype=np.int64)
-    wanted = np.sort(np.array(layout.coordinates, dtype=np.int64))
-    rows, stop, lines, fault, column = _split_rows(
-        text, position, layout.values, wanted, starts, stops, digits, bounds
+    words = np.empty(len(text) - position, dtype=np.uint8)
+    bounds = np.zeros(layout.values * limit + 1, dtype=np.int64)
+    rows, stop, lines, column = _split_rows(
+        text, position, layout.values, starts, stops, words, bounds
     )
-    if fault == _NOT_A_NUMBER:
-        word = bytes(text[stop : stop + 40]).split()[0].decode("ascii", "replace")
-        at = f"line {line + lines}, value {column + 1}"
-        raise MapFormatError(path, "a number", repr(word), at)
-    if fault == _WRONG_COUNT:
+    try:
+        numbers = _as_numbers(words, bounds[: layout.values * rows + 1])
+    except _NotANumberError as error:
+        row, place = divmod(error.place, layout.values)
+        lines_before = np.count_nonzero(text[position : starts[row]] == _LINE_FEED)
+        at = f"line {line + lines_before}, value {place + 1}"
+        raise MapFormatError(path, "a number", repr(str(error)), at) from None
+    if column:
         at = f"line {line + lines}"
         raise MapFormatError(path, f"{layout.values} values in a row", str(column), at)
-    values = _as_numbers(digits, bounds[: 3 * rows + 1]).reshape(rows, 3)
-    order = np.argsort(np.argsort(layout.coordinates))
-    return TextRows(text, starts[:rows], stops[:rows]), values[:, order], stop, lines
+    xyz = numbers.reshape(rows, layout.values).take(layout.coordinates, axis=1)
+    return TextRows(text, starts[:rows], stops[:rows]), xyz, stop, lines
 
 
-def _as_numbers(digits: Bytes, bounds: Positions) -> NDArray[np.float64]:
-    """Convert the numbers between successive bounds to float64."""
-    words = LargeStringArray.from_buffers(len(bounds) - 1, py_buffer(bounds), py_buffer(digits))
+class _NotANumberError(ValueError):
+    """A word is not a number; `place` counts the words before it."""
+
+    def __init__(self, word: bytes, place: int) -> None:
+        super().__init__(word[:40].decode("ascii", "replace"))
+        self.place = place
+
+
+def _as_numbers(text: Bytes, bounds: Positions) -> NDArray[np.float64]:
+    """Convert the words between successive bounds to float64."""
+    buffers = len(bounds) - 1, py_buffer(bounds), py_buffer(text)
     try:
-        numbers = words.cast(float64()).to_numpy(zero_copy_only=False)
-    except ArrowInvalid:
-        # A number beyond the range of float64 is none to Arrow; to the standard it is infinite.
-        numbers = np.array([float(word) for word in words.to_pylist()])
-    return np.asarray(numbers, dtype=np.float64)
+        numbers = LargeStringArray.from_buffers(*buffers).cast(float64())
+        return np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64)
+    except (ArrowInvalid, UnicodeDecodeError):
+        words = [bytes(text[a:b]) for a, b in pairwise(bounds.tolist())]
+    for place, word in enumerate(words):
+        if not _NUMBER.fullmatch(word):
+            raise _NotANumberError(word, place)
+    # Some versions of Arrow take fewer forms than C does.
+    return np.array([float(word.split(b"(")[0]) for word in words], dtype=np.float64)
 
 
 @compiled
@@ -235,43 +250,41 @@ def _split_rows(
     text: Bytes,
     position: int,
     values: int,
-    wanted: Positions,
     starts: Positions,
     stops: Positions,
-    digits: Bytes,
+    words: Bytes,
     bounds: Positions,
-) -> tuple[int, int, int, int, int]:
-    """Find rows, check that they are numbers, and copy the wanted ones into `digits`.
+) -> tuple[int, int, int, int]:
+    """Find rows, and copy their words into `words`, one after the other.
 
-    Returns the rows found, the position reached, the lines passed, the fault and its column.
+    Returns the rows found, the position reached, the lines passed, and the values of a row that
+    has another number of them; else 0.
     """
-    rows = lines = words = 0
+    rows = lines = copied = 0
     while rows < len(starts) and position < len(text):
         start = position
-        column = next_wanted = 0
-        while True:
-            while position < len(text) and _is_blank(text[position]):
+        column = 0
+        while position < len(text) and text[position] != _LINE_FEED:
+            if _is_blank(text[position]):
                 position += 1
-            if position == len(text) or text[position] == _LINE_FEED:
-                break
-            stop = _number_end(text, position)
-            if stop < 0:
-                return rows, position, lines, _NOT_A_NUMBER, column
-            if next_wanted < 3 and column == wanted[next_wanted]:
-                bounds[words + 1] = _copy_number(text, position, stop, digits, bounds[words])
-                words += 1
-                next_wanted += 1
+                continue
+            while position < len(text) and not _ends_word(text[position]):
+                if column < values:
+                    words[copied] = text[position]
+                    copied += 1
+                position += 1
             column += 1
-            position = stop
+            if column <= values:
+                bounds[rows * values + column] = copied
         position = min(position + 1, len(text))
         if column:
             if column != values:
-                return rows, position, lines, _WRONG_COUNT, column
+                return rows, position, lines, column
             starts[rows] = start
             stops[rows] = position
             rows += 1
         lines += 1
-    return rows, position, lines, _FINE, 0
+    return rows, position, lines, 0
 
 
 @helper
@@ -280,96 +293,8 @@ def _is_blank(byte: int) -> bool:
 
 
 @helper
-def _copy_number(text: Bytes, start: int, stop: int, digits: Bytes, target: int) -> int:
-    """Copy a number without what Arrow does not take: a plus sign, the argument of `nan(...)`."""
-    if text[start] == _PLUS:
-        start += 1
-    while start < stop and text[start] != _OPENING:
-        digits[target] = text[start]
-        start += 1
-        target += 1
-    return target
-
-
-@helper
-def _number_end(text: Bytes, position: int) -> int:
-    """Return where the number at `position` ends, or -1 where there is none.
-
-    A number is what C's `strtod` takes in the decimal system: `-1`, `2.`, `.5e-3`, `inf`, `nan`.
-    """
-    if text[position] == _PLUS or text[position] == _MINUS:
-        position += 1
-    if position < len(text) and text[position] > _NINE:
-        position = _name_end(text, position)
-    else:
-        position = _decimal_end(text, position)
-    if position < 0 or position == len(text):
-        return position
-    if _is_blank(text[position]) or text[position] == _LINE_FEED:
-        return position
-    return -1
-
-
-@helper
-def _decimal_end(text: Bytes, position: int) -> int:
-    """Return where digits, with a point and an exponent or without, end; -1 if there are none."""
-    start = position
-    position = _digits_end(text, position)
-    count = position - start
-    if position < len(text) and text[position] == _POINT:
-        start = position + 1
-        position = _digits_end(text, start)
-        count += position - start
-    if count == 0:
-        return -1
-    if position < len(text) and text[position] | _LOWER_CASE == _E:
-        position += 1
-        if position < len(text) and (text[position] == _PLUS or text[position] == _MINUS):
-            position += 1
-        start = position
-        position = _digits_end(text, position)
-        if position == start:
-            return -1
-    return position
-
-
-@helper
-def _digits_end(text: Bytes, position: int) -> int:
-    while position < len(text) and _ZERO <= text[position] <= _NINE:
-        position += 1
-    return position
-
-
-@helper
-def _name_end(text: Bytes, position: int) -> int:
-    """Return where `nan`, `nan(...)`, `inf` or `infinity` ends, in any case; -1 for others."""
-    if _is_word(text, position, (_I, _N, _F, _I, _N, _I, _T, _Y)):
-        return position + 8
-    if _is_word(text, position, (_I, _N, _F)):
-        return position + 3
-    if not _is_word(text, position, (_N, _A, _N)):
-        return -1
-    position += 3
-    if position == len(text) or text[position] != _OPENING:
-        return position
-    position += 1
-    while position < len(text) and (
-        _ZERO <= text[position] <= _NINE
-        or _A <= text[position] | _LOWER_CASE <= _Z
-        or text[position] == _UNDERSCORE
-    ):
-        position += 1
-    return position + 1 if position < len(text) and text[position] == _CLOSING else -1
-
-
-@helper
-def _is_word(text: Bytes, position: int, word: tuple[int, ...]) -> bool:
-    if position + len(word) > len(text):
-        return False
-    same = 0
-    while same < len(word) and text[position + same] | _LOWER_CASE == word[same]:
-        same += 1
-    return same == len(word)
+def _ends_word(byte: int) -> bool:
+    return byte <= _BLANK and (_is_blank(byte) or byte == _LINE_FEED)
 
 
 @compiled

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader
-from tiling.formats.extension import ExtendedFormat, bytes_of, packed
-from tiling.formats.las.extra_bytes import RECORD_ID, USER_ID, extended_descriptors
+from tiling.formats.base import ExtendedFormat, MapReader
+from tiling.formats.extension import bytes_of, packed
+from tiling.formats.las.fields import RECORD_ID, USER_ID, extended_descriptors
 from tiling.formats.las.header import (
     AT_POINTS_OFFSET,
     AT_RECORD_LENGTH,
@@ -53,11 +53,7 @@ class ExtendedLas(ExtendedFormat):
         classification: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
         """Return the records with the values; see `ExtendedFormat.extend`."""
-        length = self._header.record_length
-        tail = packed(self.fields, values)
-        records = np.empty((len(tail), length + tail.dtype.itemsize), dtype=np.uint8)
-        records[:, :length] = batch.records
-        records[:, length:] = bytes_of(tail)
+        records = np.hstack([batch.records, bytes_of(packed(self.fields, values))])
         if classification is not None:
             if self._header.point_format < 6:
                 # The other three bits are flags: synthetic, key-point, withheld.

@@ -1,10 +1,21 @@
-"""The fields of the point formats of LAS 1.0 to 1.4, by the names that laspy gives them.
+"""The fields of a LAS file: those of its point format, and the extra bytes behind them.
 
-Written down here, and compared with laspy in a test: to ask laspy means to import it, with what it
-needs for geodesy and for the network, before a run knows how large its map is.
+Those of LAS 1.0 to 1.4 are written down here, by the names that laspy gives them, and compared with
+laspy in a test: to ask laspy means to import it, with what it needs for geodesy and for the
+network, before a run knows how large its map is. A record gives extra bytes names and types; byte
+positions are those of the ASPRS LAS specification, 1.4 R15 (table 24).
 """
 
+import struct
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
 from tiling.formats.points import Field
+
+USER_ID, RECORD_ID = "LASF_Spec", 4
+"""The VLR of extra bytes."""
 
 _FIRST = "X:int32 Y:int32 Z:int32 intensity:uint16 return_number number_of_returns"
 _SHORT = (
@@ -38,9 +49,76 @@ _FIELDS = (
     (_LONG, _COLOUR, _INFRARED, _WAVEFORM),
 )
 
+# Types from code 1 on; codes 11 to 30 are pairs and triples of them, code 0 is as many bytes as
+# the options say.
+_TYPES = (
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "uint64",
+    "int64",
+    "float32",
+    "float64",
+)
+_DESCRIPTOR = struct.Struct("<2xBB32s156x")
+
 
 def standard_fields(point_format: int) -> tuple[Field, ...]:
     """Return the fields of a point format, 0 to 10; those of a few bits are uint8."""
     words = " ".join(_FIELDS[point_format]).split()
     parts = (word.partition(":") for word in words)
     return tuple(Field(name, dtype or "uint8") for name, _, dtype in parts)
+
+
+def extra_fields(header: LasHeader) -> tuple[Field, ...]:
+    """Return what is known of the extra bytes; those without a description are `ExtraBytes`."""
+    fields, left = _described(header)
+    return (*fields, Field("ExtraBytes", "uint8", left)) if left else fields
+
+
+def extended_descriptors(header: LasHeader, fields: Sequence[Field]) -> bytes:
+    """Return the data of a VLR that describes the extra bytes of a file, and further ones.
+
+    What is described keeps its bytes; what nobody described is described as such, since further
+    fields could not be found behind it otherwise.
+    """
+    described, left = _described(header)
+    data = bytearray(_stored(header)[: len(described) * _DESCRIPTOR.size])
+    while left:
+        size = min(left, 0xFF)
+        data += _DESCRIPTOR.pack(0, size, b"ExtraBytes")
+        left -= size
+    for field in fields:
+        data += _DESCRIPTOR.pack(_TYPES.index(field.dtype) + 1, 0, field.name.encode())
+    return bytes(data)
+
+
+def _described(header: LasHeader) -> tuple[tuple[Field, ...], int]:
+    """Return the fields that are described and are there, and how many bytes are left."""
+    left = header.record_length - RECORD_LENGTHS[header.point_format]
+    fields = []
+    for field, size in _descriptors(_stored(header)):
+        if size == 0 or size > left:
+            break
+        left -= size
+        fields.append(field)
+    return tuple(fields), left
+
+
+def _stored(header: LasHeader) -> bytes:
+    return next((each.data for each in header.vlrs if each.names(USER_ID, RECORD_ID)), b"")
+
+
+def _descriptors(data: bytes) -> Iterator[tuple[Field, int]]:
+    """Yield each field and its bytes, 0 for a type that the specification does not know."""
+    for at in range(0, len(data) - _DESCRIPTOR.size + 1, _DESCRIPTOR.size):
+        code, options, text = _DESCRIPTOR.unpack_from(data, at)
+        name = text.split(b"\0")[0].decode("utf-8", "replace")
+        field = Field(name, "uint8", options)
+        if 1 <= code <= 30:
+            field = Field(name, _TYPES[(code - 1) % 10], (code - 1) // 10 + 1)
+        size = np.dtype(field.dtype).itemsize * field.count
+        yield field, size if code <= 30 else 0

@@ -1,14 +1,16 @@
 """Compressed points (LAZ) as a stream, through lazrs, whatever the file claims of them.
 
 lazrs believes what it reads: it reserves memory for as many chunks, and as many bytes in a layer,
-as the file announces. So it is shown one stretch of compressed bytes at a time, whose sizes have
-been walked beforehand, followed by a chunk table without entries.
+as the file announces. So it is shown chunks that have been checked beforehand, followed by a chunk
+table without entries.
 """
 
 import io
+import os
 import struct
+from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
+from itertools import chain, islice
 from typing import Any, BinaryIO, NoReturn, Protocol
 
 import numpy as np
@@ -16,15 +18,13 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.las.header import LasHeader
-from tiling.formats.las.laz_chunks import (
-    comes_from_lazrs,
-    knows_chunks,
-    split_into_chunks,
-    split_into_stretches,
-)
+from tiling.formats.las.laz_chunks import Chunk, comes_from_lazrs, find_chunks
 from tiling.formats.las.laz_header import Compression
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
+
+LARGEST_PARALLEL_CHUNK = 1 << 26
+"""Bytes of points in a chunk; longer ones are not held in memory, one for each thread."""
 
 _CHUNK_TABLE_WITHOUT_ENTRIES = bytes(8)
 _PASSED_AT_A_TIME = 50_000
@@ -41,6 +41,22 @@ class PointSource(Protocol):
         """Fill (n, record_length) with the next n points."""
 
 
+def usable_threads(threads: int) -> int:
+    """Return how many threads lazrs can be given: those wanted, or 1.
+
+    lazrs hands the chunks of a call to a pool of threads that the whole process shares, one to
+    each: so no more are busy than chunks are handed over. A process forked from one that has used
+    the pool has no threads in its copy of it, and would wait for them for ever.
+    """
+    return threads if threads > 1 and _owner_of_pool() == os.getpid() else 1
+
+
+@cache
+def _owner_of_pool() -> int:
+    """Return the process that first used the pool; what is remembered outlives a fork."""
+    return os.getpid()
+
+
 class LazPoints:
     """Decompresses the points of a LAZ file from a row on, in order.
 
@@ -54,6 +70,8 @@ class LazPoints:
         Its laszip VLR.
     rows : range
         The points that will be read.
+    threads : int
+        Chunks to decompress at a time, see `usable_threads`.
 
     Raises
     ------
@@ -62,17 +80,22 @@ class LazPoints:
     """
 
     def __init__(
-        self, file: BinaryIO, header: LasHeader, compression: Compression, rows: range
+        self,
+        file: BinaryIO,
+        header: LasHeader,
+        compression: Compression,
+        rows: range,
+        threads: int = 1,
     ) -> None:
         self._file = file
         self._header = header
         self._compression = compression
-        self._stretches = split_into_stretches(file, header, compression, rows)
-        self._left_in_stretch = 0
-        self._window: _Window | None = None
-        self._decompressor: Any | None = None
-        self._row = 0
-        self._first_row = rows.start
+        self._rows = rows
+        self._threads = threads
+        self._chunks = find_chunks(file, header, compression, rows)
+        self._ready: PointSource | None = None
+        self._left = 0
+        self._row = rows.start
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
         """Decompress the next points.
@@ -87,125 +110,125 @@ class LazPoints:
         MapFormatError
             When the compressed bytes end too early or make no sense.
         """
-        if self._decompressor is None:
-            self._pass_over_points_before_range()
         done = 0
         while done < len(records):
-            if self._left_in_stretch == 0:
-                self._open_next_stretch()
-            count = min(len(records) - done, self._left_in_stretch)
-            self._decompress(records[done : done + count])
-            self._left_in_stretch -= count
-            done += count
-        if not self._compression.has_chunks and self._row + done == self._header.point_count:
-            _refuse_unread(self._header, self._decompressor, 0)
-        if self._compression.needs_laszip:
-            self._check_single_channel(records)
-        self._row += len(records)
-
-    def _pass_over_points_before_range(self) -> None:
-        """Decompress what precedes the first row in its chunk."""
-        self._open_next_stretch()
-        while self._row < self._first_row:
-            count = min(self._first_row - self._row, self._left_in_stretch, _PASSED_AT_A_TIME)
-            self._decompress(np.empty((count, self._header.record_length), dtype=np.uint8))
-            self._left_in_stretch -= count
+            if not self._left:
+                self._open_next_chunks()
+            assert self._ready is not None
+            count = min(len(records) - done, self._left)
+            self._ready.read_into(records[done : done + count])
+            self._left -= count
             self._row += count
-            if self._left_in_stretch == 0 and self._row < self._first_row:
-                self._open_next_stretch()
+            done += count
 
-    def _open_next_stretch(self) -> None:
-        stretch = next(self._stretches, None)
-        if stretch is None:
-            raise MapFormatError(
-                self._header.path,
-                f"{self._header.point_count} points",
-                f"chunks of {self._row} or more, but not as many",
-            )
-        self._row = stretch.first_row
-        self._left_in_stretch = stretch.points
-        has_chunks = self._compression.has_chunks
-        self._window = _Window(self._file, stretch.start, stretch.end, has_chunks)
-        data = self._compression.for_stretch(stretch.chunk_size)
+    def _open_next_chunks(self) -> None:
+        chunks = list(islice(self._chunks, self._threads))
+        if not chunks:
+            found = f"chunks of {self._row} or more, but not as many"
+            raise MapFormatError(self._header.path, f"{self._header.point_count} points", found)
+        if self._threads > 1 and self._can_be_read_at_once(chunks):
+            self._ready = _Decompressed(self._file, self._header, self._compression, chunks)
+        else:
+            self._chunks = chain(chunks[1:], self._chunks)
+            chunks = chunks[:1]
+            self._ready = _Stream(self._file, self._header, self._compression, chunks[0])
+        self._left = chunks[-1].first_row + chunks[-1].points - chunks[0].first_row
+        passed_over = self._row - chunks[0].first_row
+        while passed_over:
+            count = min(passed_over, _PASSED_AT_A_TIME)
+            self._ready.read_into(np.empty((count, self._header.record_length), dtype=np.uint8))
+            self._left -= count
+            passed_over -= count
+
+    def _can_be_read_at_once(self, chunks: list[Chunk]) -> bool:
+        # What is behind the last point is seen by reading its chunk alone, unless it has layers.
+        last = chunks[-1].first_row + chunks[-1].points == self._header.point_count
+        longest = max(chunk.points for chunk in chunks) * self._header.record_length
+        return longest <= LARGEST_PARALLEL_CHUNK and (self._compression.has_layers or not last)
+
+
+class _Stream:
+    """The points of one chunk, or of all where it is not known where they begin."""
+
+    def __init__(
+        self, file: BinaryIO, header: LasHeader, compression: Compression, chunk: Chunk
+    ) -> None:
+        self._header = header
+        self._row = chunk.first_row
+        # A chunk that ends with the file is not known to end there.
+        known = not compression.has_chunks or chunk.end < header.file_size
+        self._ends_with_points = known and not compression.has_layers
+        self._window = _Window(file, chunk.start, chunk.end, compression.has_chunks)
         try:
+            data = compression.for_chunks(chunk.chunk_size)
             self._decompressor = lazrs.LasZipDecompressor(self._window, data)
         except BaseException as error:
-            self._refuse_points(error)
+            self._refuse(error)
 
-    def _decompress(self, records: NDArray[np.uint8]) -> None:
-        assert self._decompressor is not None
+    def read_into(self, records: NDArray[np.uint8]) -> None:
+        """Decompress the next points into (n, record_length)."""
         try:
             self._decompressor.decompress_many(records.reshape(-1))
         except BaseException as error:
-            self._refuse_points(error)
+            self._refuse(error)
+        self._row += len(records)
+        if self._ends_with_points and self._row == self._header.point_count:
+            self._check_end()
 
-    def _refuse_points(self, error: BaseException) -> NoReturn:
-        if comes_from_lazrs(error) and self._window is not None and self._window.fault is not None:
-            raise self._window.fault
-        refuse_points(self._header, self._row, error)
-
-    def _check_single_channel(self, records: NDArray[np.uint8]) -> None:
-        """Refuse several scanner channels where lazrs would give wrong values for them."""
-        channels = np.unique((records[:, 15] >> 4) & 3)
-        if len(channels) > 1 or channels[0] != 0:
-            raise MapFormatError(
-                self._header.path,
-                "LASzip items of version 3, or the package laszip to read version 4 with",
-                "version 4 with several scanner channels, and no laszip",
-            )
-
-
-def check_last_chunk(file: BinaryIO, header: LasHeader, compression: Compression) -> None:
-    """Check that the last chunk ends with the last point that the header counts.
-
-    Only points that are not in layers need to be decompressed for that; and nothing is checked
-    where it is not known where the chunk begins, or where there are no chunks.
-
-    Raises
-    ------
-    MapFormatError
-        When there is more in it.
-    """
-    if compression.has_layers or not knows_chunks(file, header, compression):
-        return
-    rows = range(header.point_count - 1, header.point_count)
-    for chunk in split_into_chunks(file, header, compression, rows):
-        window = _Window(file, chunk.start, chunk.end, has_chunks=True)
+    def _check_end(self) -> None:
+        """Refuse compressed bytes behind the last point."""
+        byte = np.empty(1, dtype=np.uint8)
+        unread = -self._window.bytes_behind
         try:
-            data = compression.for_stretch(chunk.chunk_size)
-            decompressor = lazrs.LasZipDecompressor(window, data)
-            for first in range(0, chunk.points, _PASSED_AT_A_TIME):
-                count = min(_PASSED_AT_A_TIME, chunk.points - first)
-                decompressor.decompress_many(np.empty(count * header.record_length, np.uint8))
+            while unread <= _MOST_UNREAD:
+                self._decompressor.read_raw_bytes_into(byte)
+                unread += 1
         except BaseException as error:
-            refuse_points(header, chunk.first_row, error)
-        _refuse_unread(header, decompressor, len(_CHUNK_TABLE_WITHOUT_ENTRIES))
+            if not comes_from_lazrs(error):
+                raise
+            return
+        expected = f"no points but the {self._header.point_count} counted"
+        raise MapFormatError(self._header.path, expected, "further compressed bytes behind them")
+
+    def _refuse(self, error: BaseException) -> NoReturn:
+        if comes_from_lazrs(error) and self._window.fault is not None:
+            raise self._window.fault
+        _refuse_points(self._header, self._row, error)
 
 
-def _refuse_unread(header: LasHeader, decompressor: Any, after: int) -> None:
-    """Refuse compressed bytes behind the last point; `after` of them are no points."""
-    byte = np.empty(1, dtype=np.uint8)
-    unread = -after
-    try:
-        while unread <= _MOST_UNREAD:
-            decompressor.read_raw_bytes_into(byte)
-            unread += 1
-    except BaseException as error:
-        if not comes_from_lazrs(error):
-            raise
-        return
-    expected = f"no points but the {header.point_count} counted"
-    raise MapFormatError(header.path, expected, "further compressed bytes behind them")
+class _Decompressed:
+    """The points of several chunks, decompressed at once by as many threads."""
+
+    def __init__(
+        self, file: BinaryIO, header: LasHeader, compression: Compression, chunks: list[Chunk]
+    ) -> None:
+        table = [(chunk.points, chunk.end - chunk.start) for chunk in chunks]
+        count = sum(points for points, _ in table)
+        self._points = np.empty((count, header.record_length), dtype=np.uint8)
+        file.seek(chunks[0].start)
+        data = file.read(chunks[-1].end - chunks[0].start)
+        vlr = compression.for_chunks(chunks[0].chunk_size)
+        try:
+            lazrs.decompress_points_with_chunk_table(data, vlr, self._points.reshape(-1), table)
+        except BaseException as error:
+            _refuse_points(header, chunks[0].first_row, error)
+
+    def read_into(self, records: NDArray[np.uint8]) -> None:
+        """Copy the next points into (n, record_length)."""
+        records[:] = self._points[: len(records)]
+        self._points = self._points[len(records) :]
 
 
-def refuse_points(header: LasHeader, row: int, error: BaseException) -> NoReturn:
-    """Turn an error of lazrs into the file's, unless it is not about what the file holds."""
+def _refuse_points(
+    header: LasHeader, row: int, error: BaseException, library: str = "lazrs"
+) -> NoReturn:
+    """Turn an error of a library into the file's, unless it is not about what the file holds."""
     if not comes_from_lazrs(error):
         raise error
     raise MapFormatError(
         header.path,
         f"{header.point_count} compressed points from byte {header.points_offset}",
-        f"data that lazrs cannot read after point {row} ({error})",
+        f"data that {library} cannot read after point {row} ({error})",
     ) from error
 
 
@@ -216,6 +239,8 @@ class _Window(io.RawIOBase):
     ----------
     fault : OSError or None
         Why the file could not be read; lazrs keeps no more of it than a text.
+    bytes_behind : int
+        Bytes after the points.
     """
 
     def __init__(self, file: BinaryIO, start: int, end: int, has_chunks: bool) -> None:
@@ -223,11 +248,10 @@ class _Window(io.RawIOBase):
         self.fault: OSError | None = None
         self._file = file
         self._start = start
-        size = end - start
-        self._head = struct.pack("<q", 8 + size) if has_chunks else b""
-        self._tail_start = len(self._head) + size
+        self._head = struct.pack("<q", 8 + end - start) if has_chunks else b""
         self._tail = _CHUNK_TABLE_WITHOUT_ENTRIES if has_chunks else b""
-        self._size = self._tail_start + len(self._tail)
+        self.bytes_behind = len(self._tail)
+        self._tail_start = len(self._head) + end - start
         self._position = 0
 
     def readable(self) -> bool:
@@ -240,7 +264,7 @@ class _Window(io.RawIOBase):
         return self._position
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._size}[whence]
+        base = (0, self._position, self._tail_start + self.bytes_behind)[whence]
         self._position = max(0, base + offset)
         return self._position
 
@@ -266,24 +290,13 @@ class _Window(io.RawIOBase):
             raise
 
 
-def laszip_is_installed() -> bool:
-    """Tell whether the package laszip, the binding of LASzip itself, can be imported."""
-    return find_spec("laszip") is not None
-
-
 class LaszipPoints:
     """Decompresses with LASzip itself what lazrs cannot, see `Compression.needs_laszip`.
 
     Parameters
     ----------
-    file : BinaryIO
-        The file, open for as long as this object is used.
-    header : LasHeader
-        Its header.
-    compression : Compression
-        Its laszip VLR.
-    rows : range
-        The points that will be read.
+    file, header, compression, rows
+        As for `LazPoints`.
 
     Raises
     ------
@@ -294,10 +307,11 @@ class LaszipPoints:
     def __init__(
         self, file: BinaryIO, header: LasHeader, compression: Compression, rows: range
     ) -> None:
-        for _ in split_into_stretches(file, header, compression, range(header.point_count)):
+        for _ in find_chunks(file, header, compression, range(header.point_count)):
             pass
         laspy: Any = import_module("laspy")
         self._header = header
+        self._row = rows.start
         file.seek(0)
         try:
             self._reader = laspy.open(
@@ -306,7 +320,7 @@ class LaszipPoints:
             if rows.start:
                 self._reader.seek(rows.start)
         except Exception as error:
-            self._refuse_points(error)
+            _refuse_points(header, self._row, error, "LASzip")
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
         """Decompress the next points into (n, record_length)."""
@@ -314,11 +328,5 @@ class LaszipPoints:
             data = self._reader.read_points(len(records)).array.tobytes()
             records[:] = np.frombuffer(data, dtype=np.uint8).reshape(records.shape)
         except Exception as error:
-            self._refuse_points(error)
-
-    def _refuse_points(self, error: Exception) -> NoReturn:
-        raise MapFormatError(
-            self._header.path,
-            f"{self._header.point_count} compressed points from byte {self._header.points_offset}",
-            f"data that LASzip cannot read ({error})",
-        ) from error
+            _refuse_points(self._header, self._row, error, "LASzip")
+        self._row += len(records)

@@ -7,9 +7,9 @@ data) and by its source.
 import io
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
@@ -17,16 +17,15 @@ from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz_header import Compression, refuse
 from tiling.formats.leftover import check_leftover
 
-# It has no types that a checker can use.
-lazrs: Any = import_module("lazrs")
+lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
 _LARGEST_CHUNK_ENTRY = 16
 """Bytes; an entry of the chunk table is at most two integers of 32 bits and their bit counts."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """Compressed bytes of chunks that all have the same number of points.
+class Chunk:
+    """Compressed bytes that can be read without those before them.
 
     Attributes
     ----------
@@ -35,7 +34,8 @@ class Stretch:
     first_row, points : int
         Row number of the first point, and the number of points.
     chunk_size : int
-        Points in a chunk.
+        Points that LASzip puts in a chunk: fewer than `points` where it is not known where the
+        chunks after the first begin, which then are read as one.
     """
 
     start: int
@@ -45,71 +45,43 @@ class Stretch:
     chunk_size: int
 
 
-def split_into_stretches(
+def find_chunks(
     file: BinaryIO, header: LasHeader, compression: Compression, rows: range
-) -> Iterator[Stretch]:
-    """Yield the stretches that hold some rows, each checked before it meets a decompressor.
-
-    The first begins with the chunk of the first row, or with the first chunk of all where it is
-    not known where the others begin.
+) -> Iterator[Chunk]:
+    """Yield the chunks that hold some rows, each checked before it meets a decompressor.
 
     Raises
     ------
     MapFormatError
         When chunks or layers contradict the file's size.
     """
-    count = header.point_count
     if not rows:
         return
+    count, size = header.point_count, compression.chunk_size
     if not compression.has_chunks:
-        yield Stretch(header.points_offset, header.file_size, 0, count, count)
-    elif compression.has_variable_chunks:
-        yield from split_into_chunks(file, header, compression, rows)
+        yield Chunk(header.points_offset, header.file_size, 0, count, count)
+    elif (known := _chunks_in_table(file, header, compression)) is not None:
+        for chunk in known:
+            if chunk.first_row < rows.stop and chunk.first_row + chunk.points > rows.start:
+                if compression.has_layers:
+                    _layered_chunk_end(file, header, compression, chunk.start, chunk.end)
+                yield chunk
     elif compression.has_layers:
-        chunks = split_into_chunks(file, header, compression, rows)
-        first = next(chunks)
-        end = first.end
-        for chunk in chunks:
-            end = chunk.end
-        yield replace(first, end=end, points=count - first.first_row)
-    else:
         start = _first_chunk_start(header)
-        first_chunk = rows.start // compression.chunk_size
-        starts = _chunk_starts(file, header, compression) if first_chunk else None
-        if starts is None:
-            first_chunk = 0
-        else:
-            start = starts[first_chunk]
-        row = first_chunk * compression.chunk_size
-        yield Stretch(start, header.file_size, row, count - row, compression.chunk_size)
-
-
-def split_into_chunks(
-    file: BinaryIO, header: LasHeader, compression: Compression, rows: range
-) -> Iterator[Stretch]:
-    """Yield the chunks that hold some rows, each checked, where it is known where they begin.
-
-    Raises
-    ------
-    MapFormatError
-        When chunks or layers contradict the file's size.
-    """
-    if compression.has_variable_chunks:
-        yield from _split_variable(file, header, compression, rows)
-        return
-    size = compression.chunk_size
-    numbers = range(rows.start // size, -(-rows.stop // size))
-    if compression.has_layers:
-        ends = _layered_chunk_ends(file, header, compression, numbers)
+        for row in range(0, rows.stop, size):
+            end = _layered_chunk_end(file, header, compression, start, header.file_size)
+            if row + size > rows.start:
+                yield Chunk(start, end, row, min(size, count - row), size)
+            start = end
     else:
-        starts = _chunk_starts(file, header, compression)
-        assert starts is not None
-        ends = iter(starts[numbers.start : numbers.stop + 1])
-    start = next(ends)
-    for number, end in zip(numbers, ends, strict=True):
-        row = number * size
-        yield Stretch(start, end, row, min(size, header.point_count - row), size)
-        start = end
+        yield Chunk(_first_chunk_start(header), header.file_size, 0, count, size)
+
+
+def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:
+    """Tell whether it is known where each chunk begins."""
+    return compression.has_chunks and (
+        compression.has_layers or _chunks_in_table(file, header, compression) is not None
+    )
 
 
 def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compression) -> None:
@@ -124,7 +96,7 @@ def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compressio
     """
     count, size = header.point_count, compression.chunk_size
     try:
-        start, table = read_chunk_table(file, header, compression)
+        start, table = _read_chunk_table(file, header, compression)
     except MapFormatError:
         # A table that is missing or wrong is no matter where the points are read without it.
         if compression.has_variable_chunks:
@@ -145,29 +117,11 @@ def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compressio
     if len(filled) > chunks:
         refuse(header, f"{chunks} chunks for {count} points", f"{len(filled)}", start)
     if compression.has_layers and chunks:
-        last = next(_layered_chunk_ends(file, header, compression, range(chunks - 1, chunks)))
-        file.seek(last + header.record_length)
-        stored_count = file.read(4)
-        found = int.from_bytes(stored_count, "little") + (chunks - 1) * size
+        (last,) = find_chunks(file, header, compression, range(count - 1, count))
+        file.seek(last.start + header.record_length)
+        found = int.from_bytes(file.read(4), "little") + last.first_row
         if found > count:
-            refuse(header, f"{count} points in the chunks", f"{found}", last)
-
-
-def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) -> bool:
-    """Tell whether it is known where each chunk begins."""
-    if not compression.has_chunks:
-        return False
-    if compression.has_variable_chunks or compression.has_layers:
-        return True
-    return _chunk_starts(file, header, compression) is not None
-
-
-def longest_chunk(file: BinaryIO, header: LasHeader, compression: Compression) -> int:
-    """Return how many points the longest chunk has, or may have where all have one size."""
-    if not compression.has_variable_chunks:
-        return compression.chunk_size
-    _, table = read_chunk_table(file, header, compression)
-    return max((points for points, _ in table), default=0)
+            refuse(header, f"{count} points in the chunks", f"{found}", last.start)
 
 
 def _first_chunk_start(header: LasHeader) -> int:
@@ -179,81 +133,39 @@ def _first_chunk_start(header: LasHeader) -> int:
     return start
 
 
-def _chunk_starts(file: BinaryIO, header: LasHeader, compression: Compression) -> list[int] | None:
-    """Return where chunks of one size begin and the last ends, None where that is not known.
+def _chunks_in_table(
+    file: BinaryIO, header: LasHeader, compression: Compression
+) -> list[Chunk] | None:
+    """Return the chunks that the table names, None where it is missing or wrong.
 
-    The chunk table is not needed to read such chunks one after the other, and may be missing or
-    wrong.
+    It is not needed to read chunks of one size one after the other.
     """
     try:
-        table_start, table = read_chunk_table(file, header, compression)
+        table_start, table = _read_chunk_table(file, header, compression)
     except MapFormatError:
+        if compression.has_variable_chunks:
+            raise
         return None
-    starts = list(accumulate((size for _, size in table), initial=header.points_offset + 8))
-    chunks = -(-header.point_count // compression.chunk_size)
-    return starts if starts[-1] == table_start and len(table) == chunks else None
-
-
-def _layered_chunk_ends(
-    file: BinaryIO, header: LasHeader, compression: Compression, numbers: range
-) -> Iterator[int]:
-    """Yield where the first of some chunks of layers begins, and where each of them ends.
-
-    Each says itself how long it is. The chunk table is only a short cut to the first.
-    """
-    end = header.file_size
-    start = _first_chunk_start(header)
-    if numbers.start:
-        starts = _chunk_starts(file, header, compression)
-        if starts is not None and _is_layered_chunk(
-            file, header, compression, *starts[numbers.start : numbers.start + 2]
-        ):
-            start = starts[numbers.start]
-        else:
-            for _ in range(numbers.start):
-                start = _layered_chunk_end(file, header, compression, start, end)
-    yield start
-    for _ in numbers:
-        start = _layered_chunk_end(file, header, compression, start, end)
-        yield start
-
-
-def _is_layered_chunk(
-    file: BinaryIO, header: LasHeader, compression: Compression, start: int, end: int
-) -> bool:
-    """Tell whether a chunk begins and ends where the chunk table says."""
-    try:
-        return _layered_chunk_end(file, header, compression, start, end) == end
-    except MapFormatError:
-        return False
-
-
-def _split_variable(
-    file: BinaryIO, header: LasHeader, compression: Compression, rows: range
-) -> Iterator[Stretch]:
-    """Yield the chunks of some rows that the chunk table names."""
-    first_row = 0
-    table_start, table = read_chunk_table(file, header, compression)
-    start = header.points_offset + 8
-    for points, size in table:
-        end = start + size
-        if end > table_start:
-            refuse(
-                header,
-                f"LAZ chunks up to the chunk table at byte {table_start}",
-                f"a chunk of {size} bytes",
-                start,
-            )
-        wanted = first_row < rows.stop and first_row + points > rows.start
-        # What lies beyond the last point is checked too.
-        surplus = first_row >= header.point_count
-        if points and compression.has_layers and (wanted or surplus):
-            _layered_chunk_end(file, header, compression, start, end)
-        if wanted:
-            count = min(points, header.point_count - first_row)
-            yield Stretch(start, end, first_row, count, points)
-        first_row += points
-        start = end
+    count, size = header.point_count, compression.chunk_size
+    bounds = accumulate((stored for _, stored in table), initial=header.points_offset + 8)
+    spans = list(pairwise(bounds))
+    end = spans[-1][1] if spans else header.points_offset + 8
+    if not compression.has_variable_chunks:
+        if end != table_start or len(table) != -(-count // size):
+            return None
+        return [
+            Chunk(*span, row, min(size, count - row), size)
+            for span, row in zip(spans, range(0, count, size), strict=True)
+        ]
+    if end > table_start:
+        expected = f"LAZ chunks up to the chunk table at byte {table_start}"
+        refuse(header, expected, f"chunks of {end - spans[0][0]} bytes", spans[0][0])
+    rows = accumulate((points for points, _ in table), initial=0)
+    return [
+        Chunk(*span, row, min(points, count - row), points)
+        for span, row, (points, _) in zip(spans, rows, table, strict=False)
+        if points and row < count
+    ]
 
 
 def _layered_chunk_end(
@@ -275,17 +187,17 @@ def _layered_chunk_end(
     return start + size
 
 
-def read_chunk_table(
+def _read_chunk_table(
     file: BinaryIO, header: LasHeader, compression: Compression
 ) -> tuple[int, list[tuple[int, int]]]:
-    """Read the chunk table of a LAZ file whose chunks vary in size.
+    """Read the chunk table.
 
     Returns
     -------
     start : int
         Byte of the chunk table.
     table : list of (int, int)
-        Points and bytes of each chunk.
+        Points and bytes of each chunk; the points only where chunks vary in size.
 
     Raises
     ------

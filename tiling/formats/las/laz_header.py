@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from tiling.errors import MapFormatError
-from tiling.formats.las.header import LasHeader, VariableLengthRecord
+from tiling.formats.las.header import RECORD_LENGTHS, LasHeader, VariableLengthRecord
 
 # It has no types that a checker can use.
 lazrs: Any = import_module("lazrs")
@@ -20,24 +20,9 @@ _VARIABLE_CHUNK_SIZE = 0xFFFFFFFF
 _AT_CHUNK_SIZE = 12
 _AT_ITEMS = 32
 
-# The items of each point format: LASzip's code, and bytes in a point. Extra bytes follow.
-_POINT10, _GPS_TIME, _RGB12, _WAVE_PACKET13 = (6, 20), (7, 8), (8, 6), (9, 29)
-_POINT14, _RGB14, _RGB_NIR14, _WAVE_PACKET14 = (10, 30), (11, 6), (12, 8), (13, 29)
-_ITEMS = (
-    (_POINT10,),
-    (_POINT10, _GPS_TIME),
-    (_POINT10, _RGB12),
-    (_POINT10, _GPS_TIME, _RGB12),
-    (_POINT10, _GPS_TIME, _WAVE_PACKET13),
-    (_POINT10, _GPS_TIME, _RGB12, _WAVE_PACKET13),
-    (_POINT14,),
-    (_POINT14, _RGB14),
-    (_POINT14, _RGB_NIR14),
-    (_POINT14, _WAVE_PACKET14),
-    (_POINT14, _RGB_NIR14, _WAVE_PACKET14),
-)
-_EXTRA_BYTES, _EXTRA_BYTES14 = 0, 14
-_LAYERS = {_POINT14: 9, _RGB14: 1, _RGB_NIR14: 2, _WAVE_PACKET14: 1}
+_WAVE_PACKET13 = 9
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of each item of a chunk of layers, by its code; extra bytes are a layer each."""
 
 
 def is_laszip_record(record: VariableLengthRecord) -> bool:
@@ -101,7 +86,7 @@ class Compression:
         same_items = self.data[_AT_ITEMS : len(data)] == data[_AT_ITEMS:]
         return self.data[:2] == data[:2] and same_items and not self.has_variable_chunks
 
-    def for_stretch(self, points: int) -> bytes:
+    def for_chunks(self, points: int) -> bytes:
         """Return the VLR's data for lazrs, for chunks of so many points."""
         data = bytearray(self.data)
         struct.pack_into("<I", data, _AT_CHUNK_SIZE, min(points, _VARIABLE_CHUNK_SIZE - 1))
@@ -119,10 +104,16 @@ def own_compression(point_format: int, extra_bytes: int, variable_chunks: bool) 
     """
     vlr = lazrs.LazVlr.new_for_compression(point_format, extra_bytes, variable_chunks)
     data = bytearray(vlr.record_data())
-    if _WAVE_PACKET13 in _ITEMS[point_format]:
-        item = _ITEMS[point_format].index(_WAVE_PACKET13)
-        struct.pack_into("<H", data, _AT_ITEMS + 2 + 6 * item + 4, 1)
+    for item, (kind, _, _) in enumerate(_items(data)):
+        if kind == _WAVE_PACKET13:
+            struct.pack_into("<H", data, _AT_ITEMS + 2 + 6 * item + 4, 1)
     return bytes(data)
+
+
+def _items(data: bytes | bytearray) -> list[tuple[int, int, int]]:
+    """Return code, bytes in a point and version of each item that a VLR lists."""
+    (count,) = struct.unpack_from("<H", data, _AT_ITEMS)
+    return list(struct.iter_unpack("<HHH", data[_AT_ITEMS + 2 :][: 6 * count]))
 
 
 def read_compression(header: LasHeader) -> Compression:
@@ -157,27 +148,23 @@ def read_compression(header: LasHeader) -> Compression:
         refuse(header, "LASzip coder 0", str(coder), start + 2)
     if compressor != _POINT_WISE and chunk_size == 0:
         refuse(header, "LASzip chunks of 1 point or more", "0", start + _AT_CHUNK_SIZE)
-    stored = [
-        struct.unpack_from("<HHH", record.data, _AT_ITEMS + 2 + 6 * item)
-        for item in range(item_count)
-    ]
+    stored = _items(record.data)
     _check_items(header, stored, start + _AT_ITEMS)
     return Compression(
         data=record.data,
         compressor=compressor,
         chunk_size=chunk_size,
         item_versions=tuple(version for _, _, version in stored),
-        layers=sum(_LAYERS.get((kind, size), size) for kind, size, _ in stored),
+        layers=sum(_LAYERS.get(kind, size) for kind, size, _ in stored),
     )
 
 
-def _check_items(header: LasHeader, stored: list[tuple[int, ...]], at: int) -> None:
+def _check_items(header: LasHeader, stored: list[tuple[int, int, int]], at: int) -> None:
     """Check that LASzip's items make up the points that the header describes."""
-    expected = list(_ITEMS[header.point_format])
-    extra = header.record_length - sum(size for _, size in expected)
     layered = header.point_format >= 6
-    if extra:
-        expected.append((_EXTRA_BYTES14 if layered else _EXTRA_BYTES, extra))
+    extra_bytes = header.record_length - RECORD_LENGTHS[header.point_format]
+    own = own_compression(header.point_format, extra_bytes, variable_chunks=False)
+    expected = [(kind, size) for kind, size, _ in _items(own)]
     found = [(kind, size) for kind, size, _ in stored]
     if found != expected:
         refuse(header, f"LASzip items (type, bytes) {expected}", str(found), at)

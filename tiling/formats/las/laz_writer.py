@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tiling.formats.base import MapWriter
 from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
+from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
 from tiling.formats.las.laz_header import Compression, own_compression
-from tiling.formats.las.lazrs_pool import LARGEST_PARALLEL_CHUNK, chunks_at_a_time
 from tiling.formats.las.summary import LasSummary
 from tiling.formats.las.surroundings import LasSurroundings
 from tiling.output_file import create_file
@@ -41,7 +41,7 @@ class LazWriter(MapWriter):
     compression : Compression
         How that file's points are compressed.
     threads : int
-        That may compress at a time, see `lazrs_pool`. The file does not depend on it.
+        That may compress at a time, see `usable_threads`. The file does not depend on it.
     """
 
     def __init__(
@@ -124,29 +124,22 @@ class _Chunks:
 
 
 class _ParallelChunks(_Chunks):
-    """Compresses several chunks of one size at a time, see `lazrs_pool`."""
+    """Compresses as many chunks of one size at a time as there are threads."""
 
     def __init__(self, file: BinaryIO, vlr: Any, threads: int) -> None:
         super().__init__(lazrs.ParLasZipCompressor(file, vlr))
-        points, size = vlr.chunk_size(), vlr.item_size()
-        chunks = chunks_at_a_time(threads, points * size)
-        self._gathered = np.empty((chunks * points, size), dtype=np.uint8)
+        self._gathered = np.empty((threads * vlr.chunk_size(), vlr.item_size()), dtype=np.uint8)
         self._count = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:
         """Append (n, record_length) points."""
-        size = len(self._gathered)
         done = 0
         while done < len(records):
-            if self._count == 0 and len(records) - done >= size:
-                super().write(records[done : done + size])
-                done += size
-                continue
-            count = min(size - self._count, len(records) - done)
+            count = min(len(self._gathered) - self._count, len(records) - done)
             self._gathered[self._count : self._count + count] = records[done : done + count]
             self._count += count
             done += count
-            if self._count == size:
+            if self._count == len(self._gathered):
                 self._write_gathered()
 
     def finish(self) -> None:

@@ -17,33 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
-from tiling.formats.las.extra_bytes import extra_fields
-from tiling.formats.las.fields import standard_fields
+from tiling.formats.las.fields import extra_fields, standard_fields
 from tiling.formats.las.header import (
     AT_WAVEFORMS,
     WAVEFORMS_EXTERNAL,
     LasHeader,
     read_header,
 )
-from tiling.formats.las.laz import (
-    LaszipPoints,
-    LazPoints,
-    PointSource,
-    check_last_chunk,
-    laszip_is_installed,
-)
-from tiling.formats.las.laz_chunks import knows_chunks
+from tiling.formats.las.laz import LaszipPoints, LazPoints, PointSource, usable_threads
+from tiling.formats.las.laz_chunks import check_chunk_count, knows_chunks
 from tiling.formats.las.laz_header import Compression, read_compression
-from tiling.formats.las.laz_parallel import ParallelLazPoints, can_be_read_in_parallel
 from tiling.formats.las.laz_writer import LazWriter
-from tiling.formats.las.lazrs_pool import usable_threads
-from tiling.formats.las.surroundings import is_copc_index
-from tiling.formats.las.writer import LasPartWriter
-from tiling.formats.las_leftover import check_behind_points
-from tiling.formats.parts import PartWriter, SinglePartWriter
+from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
+from tiling.formats.leftover import check_leftover
+from tiling.formats.parts import PartWriter
 from tiling.formats.points import Field, MapDescription, PointBatch
 from tiling.grid import Grid, integers_in_records
 
@@ -68,7 +58,7 @@ class LasReader(MapReader):
         if self._header.compressed:
             self._compression = read_compression(self._header)
         with path.open("rb") as file:
-            notes = check_behind_points(file, self._header, self._compression)
+            notes = _check_behind_points(file, self._header, self._compression)
         self.description = _describe(self._header, notes)
 
     @property
@@ -92,8 +82,6 @@ class LasReader(MapReader):
                 records = np.empty((count, header.record_length), dtype=np.uint8)
                 source.read_into(records)
                 yield self.batch_of(first, records)
-            if rows and rows.stop == header.point_count and self._compression is not None:
-                check_last_chunk(file, header, self._compression)
 
     @property
     def bytes_per_point(self) -> int:
@@ -140,12 +128,10 @@ class LasReader(MapReader):
     def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:
             return _RawPoints(file, self._header, rows.start)
-        if self._compression.needs_laszip and laszip_is_installed():
+        if self._compression.needs_laszip:
             return LaszipPoints(file, self._header, self._compression, rows)
         threads = usable_threads(self.threads)
-        if threads > 1 and can_be_read_in_parallel(file, self._header, self._compression):
-            return ParallelLazPoints(file, self._header, self._compression, rows, threads)
-        return LazPoints(file, self._header, self._compression, rows)
+        return LazPoints(file, self._header, self._compression, rows, threads)
 
 
 class _RawPoints:
@@ -228,3 +214,56 @@ def _notes(header: LasHeader) -> Iterator[str]:
                     f"The waveform packets said to start at byte {start} are not there, "
                     "and cannot be copied."
                 )
+
+
+def _check_behind_points(
+    file: BinaryIO, header: LasHeader, compression: Compression | None
+) -> tuple[str, ...]:
+    """Refuse points that the header does not count; return notes on other bytes.
+
+    EVLRs and waveform packets have their place behind the points. Of compressed points the chunks
+    are counted; the last points of the last chunk are found missing when it is read.
+
+    Raises
+    ------
+    MapFormatError
+        When there are more points than the header counts, or others than it says.
+    """
+    counted = f"{header.point_count} points"
+    if compression is None:
+        notes: tuple[str, ...] = ()
+        for start, stop in _gaps(header):
+            size = header.record_length
+            notes += check_leftover(file, start, stop, size, header.path, counted)
+        return notes
+    if not compression.has_chunks:
+        if header.point_count:
+            return ()  # known where decompression ends
+        stop = min([start for start, _ in _known(header)], default=header.file_size)
+        size = header.record_length
+        return check_leftover(file, header.points_offset, stop, size, header.path, counted)
+    check_chunk_count(file, header, compression)
+    return ()
+
+
+def _known(header: LasHeader) -> list[tuple[int, int]]:
+    """Return first byte and end of what the header says is behind the points."""
+    spans = [(record.start, record.end) for record in header.evlrs]
+    if header.waveforms is not None:
+        spans.append(header.waveforms)
+    return sorted(spans)
+
+
+def _gaps(header: LasHeader) -> Iterator[tuple[int, int]]:
+    """Yield what lies between the points and these records, and between and behind them."""
+    end = position = header.points_offset + header.point_count * header.record_length
+    for start, stop in _known(header):
+        if start < end:
+            raise MapFormatError(
+                header.path,
+                f"{header.point_count} points before what follows them at byte {start}",
+                f"points up to byte {end}",
+            )
+        yield position, start
+        position = max(position, stop)
+    yield position, header.file_size

@@ -5,7 +5,12 @@ by return, their bounds, and the places of what follows them.
 """
 
 import struct
-from typing import BinaryIO
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiling.formats.las.header import (
     AT_FIRST_EVLR,
@@ -17,8 +22,7 @@ from tiling.formats.las.header import (
 )
 from tiling.formats.las.laz_header import is_laszip_record
 from tiling.formats.las.summary import LasSummary
-
-_COPY_STEP = 1 << 20
+from tiling.formats.parts import PartSummary, PartWriter, copy_spans, put_records
 
 
 def is_copc_index(record: VariableLengthRecord) -> bool:
@@ -63,11 +67,7 @@ class LasSurroundings:
 
     def write_after_points(self, file: BinaryIO) -> None:
         """Append EVLRs and waveform packets to a file that stands at the end of the points."""
-        if not self._pieces:
-            return
-        with self._header.path.open("rb") as source:
-            for start, end in self._pieces:
-                self._copy(source, file, start, end)
+        copy_spans(self._header.path, file, self._pieces)
 
     def completed_header(self, points_end: int, summary: LasSummary) -> bytes:
         """Return the header and VLRs with what depends on the points.
@@ -103,12 +103,45 @@ class LasSurroundings:
                 struct.pack_into("<Q", block, AT_WAVEFORMS, position)
             position += end - start
 
-    def _copy(self, source: BinaryIO, target: BinaryIO, start: int, end: int) -> None:
-        """Append bytes of the input."""
-        source.seek(start)
-        while start < end:
-            part = source.read(min(_COPY_STEP, end - start))
-            if not part:
-                raise OSError(f"{self._header.path}: cut short while it was read")
-            target.write(part)
-            start += len(part)
+
+class LasPartWriter(PartWriter):
+    """Writes raw, uncompressed point records under the header of the file they come from.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    point_count : int
+        Points it will hold.
+    header : LasHeader
+        Of the file that the points come from; it must still be there.
+    """
+
+    def __init__(self, path: Path, point_count: int, header: LasHeader) -> None:
+        super().__init__(path, point_count)
+        self._header = header
+        self._surroundings = LasSurroundings(header)
+
+    def new_summary(self, first: int) -> LasSummary:
+        """Return the summary of a part that has no points yet."""
+        return LasSummary.of(self._header, first)
+
+    def put(self, file: BinaryIO, first: int, records: NDArray[np.uint8]) -> None:
+        """Write (n, record_length) records to their places."""
+        put_records(file, self._start_of(first), records)
+
+    def _start_of(self, row: int) -> int:
+        return self._surroundings.points_offset + row * self._header.record_length
+
+    def _write_surroundings(self, file: BinaryIO) -> None:
+        self._surroundings.write_header(file)
+        end = self._start_of(self.point_count)
+        file.truncate(end)
+        file.seek(end)
+        self._surroundings.write_after_points(file)
+
+    def _completed_header(self, parts: Sequence[PartSummary]) -> bytes:
+        whole = self.new_summary(0)
+        for part in parts:
+            whole.merge(cast(LasSummary, part))
+        return self._surroundings.completed_header(self._start_of(self.point_count), whole)

@@ -1,32 +1,28 @@
 """Arrays in NumPy's .npy form: the header, and rows read and written some at a time.
 
-The form is NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays": a magic string,
-a version, the length of a header, and the header, which is a Python dictionary in text. Nothing
-here ever unpickles.
+NumPy reads the headers (`numpy.lib.format`). Nothing here ever unpickles.
 """
 
-import ast
-import re
-import struct
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.coordinates import coordinate_names
-from tiling.formats.points import Field
-from tiling.formats.signature import kind_of
+from tiling.formats.parts import put_records
+from tiling.formats.points import Field, coordinate_names
+from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
-_MAGIC = b"\x93NUMPY"
 _ALIGNMENT = 64
 _LONGEST_HEADER = 10_000
-"""Characters of a header that are evaluated, as NumPy itself limits them."""
+"""Bytes of a header that are evaluated, as NumPy itself limits them."""
 _MOST_COLUMNS = 1024
 """Columns of an array in Fortran order, which are read side by side."""
 _LONGEST_ROW = 1 << 24
@@ -41,10 +37,7 @@ class ArrayHeader:
 
     Attributes
     ----------
-    description : object
-        The type as the header spells it.
     dtype : numpy dtype
-        The same, understood.
     fortran_order : bool
         Whether the first index runs fastest.
     shape : tuple of int
@@ -55,12 +48,11 @@ class ArrayHeader:
         Bytes of the header itself.
     """
 
-    description: Any
     dtype: np.dtype
     fortran_order: bool
     shape: tuple[int, ...]
-    version: int
-    size: int
+    version: int = 1
+    size: int = 0
 
     @property
     def row_count(self) -> int:
@@ -126,39 +118,26 @@ class ArrayHeader:
         They are fields of a structured array, and columns of one of floating point numbers.
         """
         if self.dtype.names:
-            head = [(name, self.dtype.fields[name]) for name in self.dtype.names]  # type: ignore[index]
-            at = self.dtype.itemsize
-            offsets = [found[1] for _, found in head]
-            for field in fields:
-                offsets.append(at)
-                at += np.dtype(field.dtype).itemsize
-            dtype = np.dtype(
-                {
-                    "names": [*self.dtype.names, *(field.name for field in fields)],
-                    "formats": [*(found[0] for _, found in head), *(f.dtype for f in fields)],
-                    "offsets": offsets,
-                    "itemsize": at,
-                }
-            )
-            return replace(self, dtype=dtype, description=np.lib.format.dtype_to_descr(dtype))
+            # A gap, as alignment leaves it, is described as a field without a name.
+            described = [*npy.dtype_to_descr(self.dtype), *((f.name, f.dtype) for f in fields)]
+            return replace(self, dtype=npy.descr_to_dtype(described))
         if self.dtype.kind != "f" or len(self.shape) != 2:
             return None
         return replace(self, shape=(self.shape[0], self.shape[1] + len(fields)))
 
     def encode(self, row_count: int) -> bytes:
         """Return the header of an array like this one, with `row_count` rows."""
-        text = repr(
-            {
-                "descr": self.description,
-                "fortran_order": self.fortran_order,
-                "shape": (row_count, *self.shape[1:]),
-            }
-        ).encode("utf-8" if self.version == 3 else "latin-1")
-        start = len(_MAGIC) + 2 + _length_form(self.version).size
-        padding = -(start + len(text) + 1) % _ALIGNMENT
+        description = {
+            "descr": npy.dtype_to_descr(self.dtype),
+            "fortran_order": self.fortran_order,
+            "shape": (row_count, *self.shape[1:]),
+        }
+        text = repr(description).encode("utf-8" if self.version == 3 else "latin-1")
+        start = npy.magic(self.version, 0)
+        length_size = 2 if self.version == 1 else 4
+        padding = -(len(start) + length_size + len(text) + 1) % _ALIGNMENT
         text += b" " * padding + b"\n"
-        length = _length_form(self.version).pack(len(text))
-        return _MAGIC + bytes((self.version, 0)) + length + text
+        return start + len(text).to_bytes(length_size, "little") + text
 
     def coordinates(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Take the coordinates out of rows as `RowReader` gives them.
@@ -200,26 +179,33 @@ def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> Arra
     MapFormatError
         When it is not the header of an array, or the array holds Python objects.
     """
-    start = stream.read(len(_MAGIC) + 2)
-    if start[: len(_MAGIC)] != _MAGIC:
-        found = kind_of(start + stream.read(24))
+    magic = npy.magic(1, 0)[:-2]
+    start = stream.read(len(magic) + 2)
+    if not start.startswith(magic):
+        found = kind_of(start + stream.read(SIGNATURE_LENGTH - len(start)))
         raise MapFormatError(path, f"{name} in NumPy's .npy form", found, at="byte 0")
-    version = start[len(_MAGIC)] if len(start) == len(_MAGIC) + 2 else 0
-    if version not in (1, 2, 3) or start[-1] != 0:
-        found = ".".join(str(number) for number in start[len(_MAGIC) :]) or "none"
+    version = start[len(magic) :]
+    if version not in (b"\1\0", b"\2\0", b"\3\0"):
+        found = ".".join(map(str, version)) or "none"
         raise MapFormatError(path, f"{name} of .npy version 1.0, 2.0 or 3.0", found, at="byte 6")
-    form = _length_form(version)
-    packed = stream.read(form.size)
-    length = form.unpack(packed)[0] if len(packed) == form.size else 0
+    length_size = 2 if version[0] == 1 else 4
+    length = int.from_bytes(stream.read(length_size), "little")
     if not 0 < length <= _LONGEST_HEADER:
         expected = f"a header of {name} with 1 to {_LONGEST_HEADER} bytes"
         raise MapFormatError(path, expected, f"{length} bytes", at="byte 8")
     text = stream.read(length)
-    place = f"byte {len(start) + form.size}"
+    place = f"byte {len(start) + length_size}"
     if len(text) != length:
         raise MapFormatError(path, f"{length} bytes of header of {name}", f"{len(text)}", at=place)
-    header = _understood(text, version, path, name, place)
-    if header.dtype.hasobject:
+    try:
+        shape, fortran_order, dtype = _understood(text, version[0])
+    except Exception:  # evaluating foreign text fails in many ways
+        expected = f"a header of {name} with descr, fortran_order and shape"
+        found = repr(text[:60].decode("latin-1"))
+        raise MapFormatError(path, expected, found, at=place) from None
+    size = len(start) + length_size + length
+    header = ArrayHeader(dtype, fortran_order, shape, version[0], size)
+    if dtype.hasobject:
         found = "Python objects, which only unpickling could read"
         raise MapFormatError(path, f"{name} of plain values", found, at=place)
     if header.row_bytes > _LONGEST_ROW:
@@ -228,40 +214,21 @@ def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> Arra
     if header.column_count > _MOST_COLUMNS:
         expected = f"{name} in Fortran order with at most {_MOST_COLUMNS} columns"
         raise MapFormatError(path, expected, f"{header.column_count}", at=place)
-    return replace(header, size=len(start) + form.size + length)
+    return header
 
 
-def _length_form(version: int) -> struct.Struct:
-    return struct.Struct("<H" if version == 1 else "<I")
-
-
-def _understood(text: bytes, version: int, path: Path, name: str, place: str) -> ArrayHeader:
-    """Evaluate the text of a header."""
-    expected = f"a header of {name} with descr, fortran_order and shape"
-    try:
-        words = text.decode("utf-8" if version == 3 else "latin-1")
-        if version == 1:
-            # Python 2 wrote its long integers as 12L.
-            words = re.sub(r"(\d)L(?=[,)])", r"\1", words)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            fields = ast.literal_eval(words.strip())
-            if not isinstance(fields, dict) or set(fields) != {"descr", "fortran_order", "shape"}:
-                raise ValueError
-            dtype = np.lib.format.descr_to_dtype(fields["descr"])
-    except Exception:  # evaluating foreign text fails in many ways
-        found = repr(text[:60].decode("latin-1"))
-        raise MapFormatError(path, expected, found, at=place) from None
-    order, shape = fields["fortran_order"], fields["shape"]
-    if (
-        not isinstance(order, bool)
-        or not isinstance(shape, tuple)
-        or not all(type(n) is int and 0 <= n < 1 << 62 for n in shape)
-        or len(shape) > 32
-    ):
-        found = repr(text[:60].decode("latin-1"))
-        raise MapFormatError(path, expected, found, at=place)
-    return ArrayHeader(fields["descr"], dtype, order, shape, version, size=0)
+def _understood(text: bytes, version: int) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Return shape, order and type; raise any error for text that is no header."""
+    if version == 3:
+        # UTF-8 of version 3 and Latin-1 of version 2 mean the same where they are escaped.
+        text = text.decode("utf-8").encode("ascii", "backslashreplace")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # NumPy advises to write anew what Python 2 wrote
+        stream = BytesIO(len(text).to_bytes(4, "little") + text)
+        shape, fortran_order, dtype = npy.read_array_header_2_0(stream)
+    if not all(0 <= n < 1 << 62 for n in shape):
+        raise ValueError
+    return shape, fortran_order, dtype
 
 
 class RowReader:
@@ -335,37 +302,28 @@ class RowReader:
             self._streams[-1].read(1)
 
 
-class RowWriter:
-    """Writes rows of an array of a known number of rows to their places, some at a time.
+def put_rows(
+    file: BinaryIO, header: ArrayHeader, row_count: int, first: int, rows: NDArray[np.void]
+) -> None:
+    """Write rows to their places in the file of an array; the header is for the caller to write.
 
     Parameters
     ----------
     file : binary file
-        Able to seek. The header in front of the rows is for the caller to write.
+        Able to seek.
     header : ArrayHeader
         Of the array to be like.
     row_count : int
         Rows that the array will have.
-    first_row : int
-        Where to begin.
+    first : int
+        Place of the first of the rows.
+    rows : (n,) array
+        As `RowReader.read` gives them.
     """
-
-    def __init__(
-        self, file: BinaryIO, header: ArrayHeader, row_count: int, first_row: int = 0
-    ) -> None:
-        self._file = file
-        self._header = header
-        self._row_count = row_count
-        self._row = first_row
-        self._start = len(header.encode(row_count))
-
-    def write(self, rows: NDArray[np.void]) -> None:
-        """Append rows, as `RowReader.read` gives them."""
-        columns = self._header.column_count
-        if self._header.row_bytes:
-            width = self._header.row_bytes // columns
-            table = rows.view(f"V{width}").reshape(-1, columns)
-            for column in range(columns):
-                self._file.seek(self._start + (column * self._row_count + self._row) * width)
-                self._file.write(np.ascontiguousarray(table[:, column]).view(np.uint8).data)
-        self._row += len(rows)
+    columns = header.column_count
+    if header.row_bytes:
+        start = len(header.encode(row_count))
+        width = header.row_bytes // columns
+        table = rows.view(f"V{width}").reshape(-1, columns)
+        for column in range(columns):
+            put_records(file, start + (column * row_count + first) * width, table[:, column])

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.extension import ExtendedFormat, ExtendedRecords
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import ExtendedRecords
 from tiling.formats.leftover import check_leftover
-from tiling.formats.numpy.arrays import ArrayHeader, RowReader, RowWriter, read_array_header
-from tiling.formats.parts import PartWriter, SinglePartWriter
+from tiling.formats.numpy.arrays import ArrayHeader, RowReader, put_rows, read_array_header
+from tiling.formats.parts import PartWriter
 from tiling.formats.points import Field, MapDescription, PointBatch
 
 _COLUMNS = ("x", "y", "z")
@@ -123,7 +123,7 @@ class _NpyParts(PartWriter):
 
     def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
         """Write rows to their places."""
-        RowWriter(file, self._header, self.point_count, first).write(records)
+        put_rows(file, self._header, self.point_count, first, records)
 
     def _write_surroundings(self, file: BinaryIO) -> None:
         start = file.write(self._header.encode(self.point_count))

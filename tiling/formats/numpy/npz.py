@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.coordinates import COORDINATES
-from tiling.formats.extension import ExtendedFormat, joined, packed
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
+from tiling.formats.extension import joined, packed
 from tiling.formats.leftover import check_leftover
-from tiling.formats.numpy.arrays import ArrayHeader, RowReader, RowWriter, read_array_header
+from tiling.formats.numpy.arrays import ArrayHeader, RowReader, put_rows, read_array_header
 from tiling.formats.numpy.npy import array_fields
-from tiling.formats.points import Field, MapDescription, PointBatch
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
@@ -146,7 +145,7 @@ class NpzReader(MapReader):
             info = zipfile.ZipInfo(f"{field.name}.npy", first.date_time)
             info.compress_type = first.compress_type
             dtype = np.dtype(field.dtype).newbyteorder("<")
-            header = ArrayHeader(dtype.str, dtype, False, (0,), version=1, size=0)
+            header = ArrayHeader(dtype, False, (0,))
             members.append(_Member(info, field.name, header, is_per_point=True))
         model = copy(self)
         model._members = tuple(members)
@@ -200,17 +199,19 @@ class _NpzWriter(MapWriter):
         self._file = create_file(path)
         self._archive = zipfile.ZipFile(self._file, "w")
         self._stack = ExitStack()
-        self._arrays: dict[str, tuple[BinaryIO, RowWriter]] = {}
+        self._arrays: dict[str, tuple[BinaryIO, ArrayHeader]] = {}
         for member in members:
             if member.header and member.is_per_point:
                 spool = cast(BinaryIO, TemporaryFile(dir=path.parent))  # noqa: SIM115
                 self._stack.enter_context(spool)
                 spool.write(member.header.encode(point_count))
-                self._arrays[member.name] = spool, RowWriter(spool, member.header, point_count)
+                self._arrays[member.name] = spool, member.header
 
     def _append(self, records: Any) -> None:
-        for field, (_, rows) in zip(records.dtype.names, self._arrays.values(), strict=True):
-            rows.write(np.ascontiguousarray(records[field]))
+        first = self.written - len(records)
+        for field, (spool, header) in zip(records.dtype.names, self._arrays.values(), strict=True):
+            rows = np.ascontiguousarray(records[field])
+            put_rows(spool, header, self.point_count, first, rows)
 
     def _finish(self) -> None:
         with self._file, self._stack, self._archive, _archive(self._source) as source:

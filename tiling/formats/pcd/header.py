@@ -14,8 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from tiling.errors import MapFormatError
-from tiling.formats.coordinates import coordinate_names
-from tiling.formats.points import Field
+from tiling.formats.points import Field, coordinate_names
 
 LONGEST_HEADER = 1 << 20
 """Bytes after which a file with no DATA line is given up."""

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
-from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
+from tiling.formats.parts import PartWriter, put_records
 from tiling.formats.pcd import lzf
 from tiling.formats.pcd.column_spool import ColumnSpool
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header

@@ -9,17 +9,14 @@ from typing import Any, BinaryIO
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.coordinates import coordinate_names
-from tiling.formats.extension import ExtendedFormat, ExtendedRecords, ExtendedText
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
-from tiling.formats.parts import PartWriter, SinglePartWriter, put_records
+from tiling.formats.parts import PartWriter, copy_spans, put_records
 from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply.rows import PlyRows, open_rows
-from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
+from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
 from tiling.output_file import create_file
-
-_BLOCK = 1 << 20
 
 
 class PlyReader(MapReader):
@@ -242,20 +239,6 @@ class _KeptElements:
         """Bytes of those before the vertices."""
         return sum(end - start for start, end in self.before)
 
-    def copy_before(self, target: BinaryIO) -> None:
-        """Append the elements before the vertices."""
-        self._copy(self.before, target)
-
-    def copy_after(self, target: BinaryIO) -> None:
-        """Append the elements after the vertices."""
-        self._copy(self.after, target)
-
-    def _copy(self, spans: tuple[tuple[int, int], ...], target: BinaryIO) -> None:
-        if spans:
-            with self.source.open("rb") as source:
-                for start, end in spans:
-                    _copy_bytes(source, target, start, end)
-
 
 class _PlyWriter(MapWriter):
     """Writes vertices under the header of the source, and copies its other elements."""
@@ -268,13 +251,13 @@ class _PlyWriter(MapWriter):
         self._kept = kept
         self._file = create_file(path)
         self._file.write(header.encode(point_count))
-        kept.copy_before(self._file)
+        copy_spans(kept.source, self._file, kept.before)
 
     def _append(self, records: Any) -> None:
         self._file.write(records.tobytes() if self._is_text else b"".join(records))
 
     def _finish(self) -> None:
-        self._kept.copy_after(self._file)
+        copy_spans(self._kept.source, self._file, self._kept.after)
         self._file.close()
 
     def _abandon(self) -> None:
@@ -299,21 +282,11 @@ class _PlyParts(PartWriter):
 
     def _write_surroundings(self, file: BinaryIO) -> None:
         file.write(self._header)
-        self._kept.copy_before(file)
+        copy_spans(self._kept.source, file, self._kept.before)
         end = self._start + self.point_count * self._record_size
         file.truncate(end)
         file.seek(end)
-        self._kept.copy_after(file)
-
-
-def _copy_bytes(source: BinaryIO, target: BinaryIO, start: int, end: int) -> None:
-    source.seek(start)
-    while start < end:
-        block = source.read(min(_BLOCK, end - start))
-        if not block:
-            break
-        target.write(block)
-        start += len(block)
+        copy_spans(self._kept.source, file, self._kept.after)
 
 
 def _field(each: PlyProperty) -> Field:

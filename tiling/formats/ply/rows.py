@@ -5,32 +5,20 @@ the properties that are asked for.
 """
 
 import os
-import struct
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.ply.header import PlyElement, PlyHeader
+from tiling.formats.ply.header import PlyElement, PlyHeader, PlyProperty
 from tiling.formats.text_rows import RowLayout, TextRows, parse_rows
 
 _BLOCK = 1 << 20
 _LONGEST_LINE = 1 << 24
-_LENGTH_TYPES = {
-    "i1": "b",
-    "u1": "B",
-    "i2": "h",
-    "u2": "H",
-    "i4": "i",
-    "u4": "I",
-    "i8": "q",
-    "u8": "Q",
-}
 _MOST_BYTES = 1 << 26
 """Bytes of records of no fixed size after which a batch ends early."""
 
@@ -204,7 +192,6 @@ class BinaryRows(PlyRows):
         self._file = file
         self._path = path
         self._size = os.fstat(file.fileno()).st_size
-        self._ahead = b""
 
     def take(
         self, element: PlyElement, most: int, names: Sequence[str] = ()
@@ -230,61 +217,49 @@ class BinaryRows(PlyRows):
         end = self.position + count * element.least_bytes
         if end > self._size:
             self._end_of_file(element, end)
-        self._move(end)
-
-    def _move(self, position: int) -> None:
-        self._file.seek(position)
-        self._ahead = b""
-        self.position = position
+        self._file.seek(end)
+        self.position = end
 
     def _fixed(self, element: PlyElement, most: int) -> NDArray[Any]:
-        self._move(self.position)
-        size = element.least_bytes
-        content = bytearray(self._file.read(most * size))
-        if len(content) != most * size:
-            self._end_of_file(element, self.position + most * size)
-        self.position += len(content)
+        content = bytearray(self._read(element, most * element.least_bytes))
         return np.frombuffer(content, dtype=element.scalar_dtype)
 
     def _listed(self, element: PlyElement, most: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Read records with lists, and the numbers outside the lists packed together."""
-        layout = _Layout.of(element)
         found: list[bytes] = []
         packed: list[bytes] = []
-        size = 0
-        at = 0
-        while len(found) < most and size < _MOST_BYTES:
-            record = self._measure(layout, at)
-            while record.end > len(self._ahead):
-                self._read_ahead(element, at, record.end)
-                at = 0
-                record = self._measure(layout, at)
-            content = self._ahead[at : record.end]
-            packed.extend(self._ahead[start:end] for start, end in record.scalars)
-            found.append(content)
-            size += len(content)
-            at = record.end
-        self._ahead = self._ahead[at:]
-        self.position += size
+        start = self.position
+        while len(found) < most and self.position - start < _MOST_BYTES:
+            parts = []
+            for each in element.properties:
+                if each.count_dtype is None:
+                    parts.append(self._read(element, each.dtype.itemsize))
+                    packed.append(parts[-1])
+                else:
+                    parts += self._list(element, each, each.count_dtype)
+            found.append(b"".join(parts))
         records = np.empty(len(found), dtype=object)
         records[:] = found
         if not element.scalars:
             return records, np.empty(len(found), dtype=[])
         return records, np.frombuffer(b"".join(packed), dtype=element.scalar_dtype)
 
-    def _measure(self, layout: "_Layout", at: int) -> "_Measure":
-        try:
-            return layout.measure(self._ahead, at)
-        except _NegativeLengthError as error:
-            place = f"byte {self._file.tell() - len(self._ahead) + at}"
-            raise MapFormatError(self._path, "the length of a list", str(error), at=place) from None
+    def _list(self, element: PlyElement, each: PlyProperty, count: np.dtype) -> tuple[bytes, bytes]:
+        """Read the length of a list, and its items."""
+        place = self.position
+        length = self._read(element, count.itemsize)
+        order: Literal["big", "little"] = "big" if count.byteorder == ">" else "little"
+        items = int.from_bytes(length, order, signed=count.kind == "i")
+        if items < 0:
+            raise MapFormatError(self._path, "the length of a list", f"{items}", f"byte {place}")
+        return length, self._read(element, items * each.dtype.itemsize)
 
-    def _read_ahead(self, element: PlyElement, at: int, end: int) -> None:
-        """Drop the bytes before `at`, and read until there are those before `end`."""
-        needed = end - len(self._ahead)
-        if needed > self._size - self._file.tell():
-            self._end_of_file(element, self._file.tell() + needed)
-        self._ahead = self._ahead[at:] + self._file.read(max(needed, _BLOCK))
+    def _read(self, element: PlyElement, size: int) -> bytes:
+        content = self._file.read(size) if size <= self._size - self.position else b""
+        if len(content) != size:
+            self._end_of_file(element, self.position + size)
+        self.position += size
+        return content
 
     def _end_of_file(self, element: PlyElement, needed: int) -> NoReturn:
         raise MapFormatError(
@@ -293,67 +268,6 @@ class BinaryRows(PlyRows):
             f"a file of {self._size} bytes",
             at=f"byte {self.position}",
         )
-
-
-class _NegativeLengthError(ValueError):
-    """A list has a length below zero."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Measure:
-    """Where a record ends, and where its numbers outside lists lie.
-
-    `end` is the least it can be where the buffer ends before the record does.
-    """
-
-    end: int
-    scalars: list[tuple[int, int]]
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """The plan of a record with lists.
-
-    Attributes
-    ----------
-    lists : tuple of (int, struct.Struct, int)
-        For each list: bytes before it, the type of its length, and bytes of an item.
-    after : int
-        Bytes after the last list.
-    """
-
-    lists: tuple[tuple[int, struct.Struct, int], ...]
-    after: int
-
-    @classmethod
-    def of(cls, element: PlyElement) -> "_Layout":
-        lists = []
-        before = 0
-        for each in element.properties:
-            if each.count_dtype is None:
-                before += each.dtype.itemsize
-            else:
-                order = ">" if each.count_dtype.byteorder == ">" else "<"
-                count = struct.Struct(order + _LENGTH_TYPES[each.count_dtype.str[1:]])
-                lists.append((before, count, each.dtype.itemsize))
-                before = 0
-        return cls(tuple(lists), before)
-
-    def measure(self, buffer: bytes, start: int) -> _Measure:
-        scalars = []
-        for before, count, item in self.lists:
-            if before:
-                scalars.append((start, start + before))
-            start += before
-            if start + count.size > len(buffer):
-                return _Measure(start + count.size, scalars)
-            length = count.unpack_from(buffer, start)[0]
-            if length < 0:
-                raise _NegativeLengthError(length)
-            start += count.size + length * item
-        if self.after:
-            scalars.append((start, start + self.after))
-        return _Measure(start + self.after, scalars)
 
 
 def _show(word: bytes) -> str:

@@ -1,6 +1,6 @@
-"""Units in the well-known text of a coordinate reference system, OGC 1 and 2, and Esri's.
+"""Name and units in the well-known text of a coordinate reference system, OGC 1 and 2, and Esri's.
 
-Text is looked into as far as units need. What makes no sense has none, and stops no map.
+Text is looked into as far as these need. What makes no sense has none, and stops no map.
 """
 
 import re
@@ -30,6 +30,16 @@ class _Node:
 
     def of(self, keywords: set[str]) -> list["_Node"]:
         return [node for node in self.nodes if node.keyword in keywords]
+
+
+def name_in_wkt(text: str) -> str | None:
+    """Return the code of the outermost authority, or the name of the outermost system."""
+    for node in _parsed(text)[:1]:
+        for authority in reversed(node.of({"AUTHORITY", "ID"})):
+            if len(authority.values) > 1:
+                return ":".join(authority.values[:2])
+        return node.values[0] if node.values else None
+    return None
 
 
 def units_in_wkt(text: str) -> Units | None:
