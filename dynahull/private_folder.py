@@ -1,4 +1,7 @@
-"""Folders that code may be loaded from: nobody but this user can have put anything there."""
+"""Folders that code may be loaded from: nobody but this user can have put anything there.
+
+`dynahull` and `tiling`, which know nothing of each other, have the same text here.
+"""
 
 import os
 import stat

@@ -1,10 +1,11 @@
 """Loops over single bytes, points or columns, compiled by Numba, where NumPy has none for them."""
 
-import os
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
+
+from tiling.private_folder import private_folder
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -12,15 +13,17 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(function: Function) -> Function:
     """Compile a function on its first call, and keep the machine code for later processes.
 
-    Numba keeps it in `$NUMBA_CACHE_DIR`, beside the source or in the user's cache. Where it can be
-    in none (an installed container image run by a user with no home), each process compiles anew.
+    The code is kept in a folder that is the user's alone, see `tiling.private_folder`. Where there
+    is none (an installed container image run by a user with no home), each process compiles anew.
     """
-    # Without a home, Numba would take the current folder for one.
-    has_home = os.path.isabs(os.path.expanduser("~"))  # noqa: PTH111, PTH117
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    folder = private_folder("formats", str(before))
+    config.CACHE_DIR = before if folder is None else str(folder)  # numba looks at it here
     try:
-        return cast(Function, numba.njit(cache=has_home, nogil=True)(function))
-    except RuntimeError:
-        return cast(Function, numba.njit(nogil=True)(function))
+        return cast(Function, numba.njit(cache=folder is not None, nogil=True)(function))
+    finally:
+        config.CACHE_DIR = before
 
 
 def helper(function: Function) -> Function:
