@@ -80,6 +80,20 @@ class FirstRound:
     kept: Terms
     reason: npt.NDArray[np.uint8]
 
+    @classmethod
+    def nothing(cls, count: int) -> Self:
+        """Return room for what is made of some points."""
+        return cls(
+            np.empty(count, np.float32),
+            np.empty((count, len(KEPT_TERMS)), np.float32),
+            np.empty(count, np.uint8),
+        )
+
+    def put(self, chosen: slice | npt.NDArray[np.bool_], found: Self) -> None:
+        """Take in what was made of some of the points."""
+        self.log_odds[chosen], self.kept[chosen] = found.log_odds, found.kept
+        self.reason[chosen] = found.reason
+
 
 @dataclass(frozen=True, slots=True)
 class EvidenceModel:
@@ -125,18 +139,17 @@ class EvidenceModel:
         threads : int
             They change nothing about the result.
         """
+        found = FirstRound.nothing(len(points))
 
-        def judge(begin: int, end: int) -> FirstRound:
-            terms = evidence(points.part(slice(begin, end)), k, surroundings)
+        def judge(begin: int, end: int) -> None:
+            own = slice(begin, end)
+            terms = evidence(points.part(own), k, surroundings)
             log_odds = self.first.log_odds(terms)
-            return FirstRound(log_odds, terms[:, _KEPT], reasons(self.first, terms, log_odds))
+            why = reasons(self.first, terms, log_odds)
+            found.put(own, FirstRound(log_odds, terms[:, _KEPT], why))
 
-        parts = over_ranges(judge, _bounds(len(points)), threads)
-        return FirstRound(
-            np.concatenate([part.log_odds for part in parts]),
-            np.concatenate([part.kept for part in parts]),
-            np.concatenate([part.reason for part in parts]),
-        )
+        over_ranges(judge, _bounds(len(points)), threads)
+        return found
 
     def second_round(
         self, xyz: Floats, found: FirstRound, odds: Voxels, threads: int = 1

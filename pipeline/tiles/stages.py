@@ -41,7 +41,7 @@ READING = ("survey", "cut", "write")
 """Stages that read the map. What they read of one that was changed is not kept: it must not meet
 what others read before, even if the map is put back before the run goes on."""
 
-DIVISIBLE = ("ground", "density")
+DIVISIBLE = ("ground", "density", "evidence")
 """Stages that take most memory. Their tasks can be done in parts where it does not suffice for a
 whole tile, and give it back when they are done; those of others leave it for the next task, as the
 system takes longer to find pages, and to wipe them, than to copy what is put there."""

@@ -22,6 +22,8 @@ from dynahull.evidence.summaries import (
 )
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.warn import wide_neighbourhoods
+from pipeline.tiles.borders import Region
+from pipeline.tiles.division import divided
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
 
@@ -44,17 +46,22 @@ def scored_voxels(
     return {"spread": spread} | _arrays(_SCORED, summarise_points(points))
 
 
-def weigh_tile(job: Job, tile: int) -> TaskReport:
+def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     """Judge the points of a tile's core by their own terms, and sum up the outcome.
 
-    The report counts the points with wide neighbourhoods, and all.
+    Where the memory does not suffice for the tile, `sides` x `sides` parts of it are done one
+    after the other. The report counts the points with wide neighbourhoods, and all.
     """
     xyz, height = job.work.load("ground", tile, *_POINTS)
     density, spread = job.work.load("density", tile, "density", "spread")
     points = ScoredPoints(xyz, density, spread, height)
-    surroundings = Surroundings.of(_around(job, tile, {"ground": _UNSCORED, "density": _SCORED}))
-    found = evidence_model().first_round(points, job.configuration.neighbours.k, surroundings)
-    del surroundings
+    model, k = evidence_model(), job.configuration.neighbours.k
+    found = FirstRound.nothing(len(points))
+    everywhere = Region(np.full(2, -np.inf), np.full(2, np.inf))
+    for box in divided(everywhere, xyz, sides):
+        own = box.holds(xyz)
+        voxels = _around(job, tile, box, {"ground": _UNSCORED, "density": _SCORED})
+        found.put(own, model.first_round(points.part(own), k, Surroundings.of(voxels)))
     odds = summarise_odds(xyz, found.log_odds)
     kept = {name: getattr(found, name) for name in _FIRST} | _arrays(_ODDS, odds)
     job.work.save("evidence", tile, **kept)
@@ -67,7 +74,9 @@ def judge_tile(job: Job, tile: int) -> Judged:
     xyz, _ = job.work.load("ground", tile, *_POINTS)
     (density,) = job.work.load("density", tile, "density")
     found = FirstRound(*job.work.load("evidence", tile, *_FIRST))
-    odds = _around(job, tile, {"evidence": _ODDS})
+    layout = job.store.layout
+    core = Region(layout.low[tile], layout.high[tile])
+    odds = _around(job, tile, core, {"evidence": _ODDS})
     return Judged(final_scores(evidence_model(), xyz, density, found, odds), found.reason)
 
 
@@ -75,10 +84,13 @@ def _arrays(name: str, voxels: Voxels) -> dict[str, NDArray[Any]]:
     return {f"{name}_cells": voxels.cells, f"{name}_sums": voxels.sums}
 
 
-def _around(job: Job, tile: int, names: Mapping[str, str]) -> Voxels:
-    """Return the voxels that decide about a tile's points, of all tiles, by stage and name."""
+def _around(job: Job, tile: int, box: Region, names: Mapping[str, str]) -> Voxels:
+    """Return the voxels that decide about a tile's points in a box, by stage and name.
+
+    They are those of all tiles.
+    """
     layout = job.store.layout
-    low, high = layout.low[tile], layout.high[tile]
+    low, high = np.maximum(layout.low[tile], box.low), np.minimum(layout.high[tile], box.high)
     map_array: Callable[..., NDArray[Any]] = job.work.map
     parts = [
         around(

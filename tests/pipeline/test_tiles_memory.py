@@ -107,6 +107,16 @@ def test_one_model_a_tile_is_that_of_the_whole_tile(map_file, tmp_path, monkeypa
     assert results(tmp_path / "parts") == results(tmp_path / "whole")
 
 
+@pytest.mark.parametrize("sides", [2, 4])
+def test_evidence_weighed_in_parts_is_the_same(sides, map_file, tmp_path, monkeypatch):
+    wanted = ("execution.cluster=none", "removal.decision=auto", "tiling.max_points=500")
+    cleaned(map_file, tmp_path / "whole", *wanted)
+    greedy = Greedy(monkeypatch, "evidence", sides)
+    cleaned(map_file, tmp_path / "parts", *wanted)
+    assert {each for _, each in greedy.calls} == {1, *(each for each in SIDES if each <= sides)}
+    assert results(tmp_path / "parts") == results(tmp_path / "whole")
+
+
 def test_a_tile_that_is_too_large_in_any_parts_is_named(map_file, tmp_path, monkeypatch, expected):
     with monkeypatch.context() as patch:
         greedy = Greedy(patch, "density", 100)
