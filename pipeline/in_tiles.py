@@ -1,11 +1,11 @@
 """A map of several tiles: cleaned tile by tile by workers."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.ahead import begun
 from pipeline.cleaned_map import CleanedMap
 from pipeline.cluster.choice import workers_for
 from pipeline.decision import Decision
@@ -44,7 +44,7 @@ def clean_in_tiles(
         decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
         views, tiles = None, None
         if job.configuration.output.report == "html":
-            views = _views(job, result, decision, meanwhile=executor.workers > 1)
+            views = partial(_views, job, result, decision)
             tiles = tile_work(job)
         output = job.configuration.output
         cluster, density, score = None, None, None
@@ -69,19 +69,9 @@ def clean_in_tiles(
     )
 
 
-def _views(
-    job: Job, result: TiledResult, decision: Decision | None, meanwhile: bool
-) -> Callable[[], Views]:
-    """Return what gives the views of the report.
-
-    They are prepared `meanwhile` where there is a core for it.
-    """
-
-    def views() -> Views:
-        removal = job.configuration.removal
-        return Views.of(gather_sample(job), result.clusters, removal, decision)
-
-    return begun(views) if meanwhile else views
+def _views(job: Job, result: TiledResult, decision: Decision | None) -> Views:
+    """Return what the report shows."""
+    return Views.of(gather_sample(job), result.clusters, job.configuration.removal, decision)
 
 
 def _decoded_batches(job: Job) -> Callable[[int], Iterable[PointBatch]] | None:

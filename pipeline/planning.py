@@ -8,7 +8,7 @@ from pipeline.configuration.run import Configuration
 from pipeline.drawing import drawing_library
 from pipeline.errors import OutputError
 from pipeline.named_file import check_named_file
-from pipeline.outputs.folder import locked_folder
+from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.plan import check_plan, make_plan
 from pipeline.plan.resources import check_one_tile, is_one_tile

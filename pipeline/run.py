@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dynahull.errors import MissingClassificationError
-from pipeline.cluster.choice import prepare_workers
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.outputs.folder import (
@@ -96,8 +95,6 @@ def run(
         if one_tile:
             size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
-        else:
-            prepare_workers(configuration)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
         observer.advance(collection.point_count)

@@ -53,6 +53,6 @@ def cancel_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
 ) -> None:
     """Cancel a run that was submitted, and the jobs of its workers; what is done is kept."""
-    from pipeline.cluster.cancelling import cancel_run  # noqa: PLC0415
+    from pipeline.cluster.submitting import cancel_run  # noqa: PLC0415
 
     typer.echo(cancel_run(folder))

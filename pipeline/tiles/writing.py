@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ahead import made_ahead
 from pipeline.errors import LostPointsError, WorkError
 from pipeline.outputs.modes import OutputMode, PointScores, mode_of
 from pipeline.tiles.sealed import read_if_whole, read_sealed, write_sealed
@@ -36,7 +35,6 @@ def write_stream(
     batches: Iterable[PointBatch],
     outputs: Sequence[Path],
     advance: Callable[[int], None],
-    ahead: bool,
 ) -> None:
     """Write the outputs of one file of the map.
 
@@ -50,8 +48,6 @@ def write_stream(
         To be written.
     advance : callable
         Told of points done.
-    ahead : bool
-        Whether there is a core to read and select points while those before are written.
     """
     counts = mode.counts(range(mode.reader.description.point_count))
     with ExitStack() as stack:
@@ -59,11 +55,10 @@ def write_stream(
             stack.enter_context(each.writer(path, count))
             for each, path, count in zip(mode.formats, outputs, counts, strict=True)
         ]
-        selected = ((len(batch.xyz), mode.records(batch)) for batch in batches)
-        for points, records in made_ahead(selected) if ahead else selected:
-            for writer, of_output in zip(writers, records, strict=True):
+        for batch in batches:
+            for writer, of_output in zip(writers, mode.records(batch), strict=True):
                 writer.write(of_output)
-            advance(points)
+            advance(len(batch.xyz))
 
 
 def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
