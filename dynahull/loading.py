@@ -1,6 +1,5 @@
-"""What takes a second to load, loaded ahead of its use, while there is time."""
+"""The compiled code that is kept, loaded before it is used."""
 
-from importlib import import_module
 from pathlib import Path
 
 from dynahull import ground, kernels
@@ -14,9 +13,3 @@ def load_compiled() -> None:
     for package, load in ((ground, compile_once), (kernels, compiled_kernels)):
         if is_compiled(Path(str(package.__file__)).parent):
             load()
-
-
-def load_libraries() -> None:
-    """Load the library that clusters are fitted with, and the compiled code that is kept."""
-    load_compiled()
-    import_module("sklearn.cluster")

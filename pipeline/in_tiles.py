@@ -1,27 +1,27 @@
 """A map of several tiles: cleaned tile by tile by workers."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.cleaned_map import CleanedMap
 from pipeline.cluster.choice import workers_for
 from pipeline.decision import Decision
 from pipeline.outputs.folder import OutputNames
+from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.tiles.cleaning import TiledResult, clean_tiles
-from pipeline.tiles.labelling import gather_decision
-from pipeline.tiles.sampling import gather_sample, tile_work
-from pipeline.tiles.writing import BATCH, kept_scores
+from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
+from pipeline.tiles.stages import do_stage, exhaust
+from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
+from pipeline.work.files import open_rows
 from pipeline.work.job import Job
-from pipeline.work.rows import open_rows
-from pipeline.write_results import write_maps
+from pipeline.workers.executors import Executor
 from tiling.collection import MapCollection
-from tiling.formats import PointBatch
+from tiling.formats.points import DEFAULT_BATCH
 
 
 def clean_in_tiles(
@@ -52,18 +52,13 @@ def clean_in_tiles(
             cluster = open_rows(job.rows_path("cluster"), np.int32)
             density = open_rows(job.rows_path("density"), np.float64)
             score = open_rows(job.rows_path("score"), np.float32)
-        write_maps(
-            collection,
-            output,
-            labels,
-            kept_scores(job),
-            names,
-            staging,
-            observer,
-            job,
-            executor,
-            read=_decoded_batches(job),
-        )
+        places = make_places(names, staging)
+        in_parts = _write_in_parts(job, executor, observer, places)
+        decoded, read = job.decoded, None
+        if decoded is not None and decoded.has_records:
+            read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
+        scores = kept_scores(job)
+        write_maps(collection, output, labels, scores, places, observer, in_parts, read)
     return CleanedMap(
         labels, cluster, density, score, result.counts, result.clusters, decision, views, tiles
     )
@@ -74,9 +69,20 @@ def _views(job: Job, result: TiledResult, decision: Decision | None) -> Views:
     return Views.of(gather_sample(job), result.clusters, job.configuration.removal, decision)
 
 
-def _decoded_batches(job: Job) -> Callable[[int], Iterable[PointBatch]] | None:
-    """Return what gives the points of a file of the map, where their records were kept."""
-    decoded = job.decoded
-    if decoded is None or not decoded.has_records:
-        return None
-    return lambda file: decoded.batches_of(file, BATCH)
+def _write_in_parts(
+    job: Job, executor: Executor, observer: StageObserver, outputs: Sequence[tuple[Path, ...]]
+) -> list[int]:
+    """Write the outputs of the files of the map that can be written in parts; return these files.
+
+    They grow in the work folder, where a run that goes on finds what is done of them.
+    """
+    readers = job.collection.readers
+    files = [file for file, reader in enumerate(readers) if reader.writes_parts]
+    plan = plan_parts(job, files)
+    exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
+    finish_parts(job, plan)
+    for file in files:
+        growing = growing_outputs(job, file, len(outputs[file]))
+        for grown, place in zip(growing, outputs[file], strict=True):
+            grown.replace(place)
+    return files

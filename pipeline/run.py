@@ -3,8 +3,6 @@
 The map is streamed for its coordinates, and once more against one label a point, so that its
 fields never pass through the method. A map of one tile is cleaned in memory; a larger one is cut
 into tiles, whose work is shared out to workers and kept until all of it is done.
-
-What takes long to import is imported where it is used: a small map needs no workers.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +11,8 @@ from pathlib import Path
 from dynahull.errors import MissingClassificationError
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
+from pipeline.in_memory import clean_in_memory
+from pipeline.in_tiles import clean_in_tiles
 from pipeline.outputs.folder import (
     CONFIGURATION_FILE,
     LABELS_FILE,
@@ -24,6 +24,7 @@ from pipeline.outputs.folder import (
 )
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
+from pipeline.outputs.writing import write_labels
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.progress import StageObserver
@@ -33,6 +34,7 @@ from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work
 from pipeline.work.map_state import unchanged
+from pipeline.work.opening import open_job
 from tiling.collection import MapCollection, content_hash, find_map_files
 
 
@@ -101,28 +103,13 @@ def run(
         observer.finish()
         work = folder / WORK_FOLDER
         if one_tile:
-            from pipeline.in_memory import clean_in_memory  # noqa: PLC0415
-
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
         else:
-            from pipeline.in_tiles import clean_in_tiles  # noqa: PLC0415
-            from pipeline.work.opening import open_job  # noqa: PLC0415
-
             job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
         if configuration.output.labels:
-            from pipeline.outputs.labels_table import write_labels  # noqa: PLC0415
-
-            assert cleaned.cluster is not None and cleaned.density is not None  # asked for
-            assert cleaned.score is not None
-            write_labels(
-                cleaned.labels,
-                cleaned.cluster,
-                cleaned.density,
-                cleaned.score,
-                staging / LABELS_FILE,
-            )
+            write_labels(cleaned, staging / LABELS_FILE)
         observer.finish()
         report = RunReport.of(
             folder,

@@ -22,9 +22,9 @@ from pipeline.cluster.batch_systems import (
 from pipeline.cluster.record import check_folder, cluster_folder, logs_folder, record_workers
 from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
 from pipeline.configuration.cluster import ClusterParameters, TLSParameters
+from pipeline.configuration.quantities import in_home
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ClusterError, ConfigurationError
-from pipeline.home import in_home
 from pipeline.workers.executors import Executor, OnDask, Outcome, Task
 from pipeline.workers.local_dask import ONE_THREAD
 

@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-from pipeline.drawing import drawing_library
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.report import EvaluationReport
-from pipeline.named_file import check_named_file
 from pipeline.outputs.folder import RUN_FILE
 from pipeline.progress import watching
+from pipeline.showing import check_named_file, drawing_library
 from tiling.atomic import atomic_file
 
 

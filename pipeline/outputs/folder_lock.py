@@ -1,4 +1,4 @@
-"""One run, or night, at a time in a folder, by a lock that the system frees however the process ends.
+"""One run or night at a time in a folder: a lock that the system frees however a process ends.
 
 The folder itself is locked where that can be done. On NFS it cannot, and a file in it is locked,
 which keeps out runs on other machines as well; it is there only while the lock is held.

@@ -21,21 +21,19 @@ from dynahull.warn import (
     warn_of_much_removed,
     warn_of_sparse_map,
 )
+from pipeline.eligibility import survey_of_others
 from pipeline.errors import PlanError
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
-from pipeline.taking_part import survey_of_others
-from pipeline.tiles.cutting import make_copies, needs_pieces
+from pipeline.tiles.cutting import make_copies, save_set_aside, set_aside, warn_of_set_aside
 from pipeline.tiles.density import LEVELS_NAME, KeptScores, first_cluster
 from pipeline.tiles.ground import SAMPLE_NAMES
-from pipeline.tiles.labelling import save_cuts
+from pipeline.tiles.labelling import RowResults, save_cuts
 from pipeline.tiles.stages import do_stage, exhaust
-from pipeline.tiles.taking_part import save_set_aside, set_aside, warn_of_set_aside
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.work.array_file import write_arrays
+from pipeline.work.files import write_arrays
 from pipeline.work.folder import TaskReport, remove_work
 from pipeline.work.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
-from pipeline.work.row_results import RowResults
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
@@ -155,7 +153,7 @@ def plan_tiles(
 
 def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver, stage: str) -> None:
     """Sort the points of a map whose tiles are planned by tile, for a stage that gathers them."""
-    if not needs_pieces(job, stage):
+    if not job.needs_pieces(stage):
         return
     rows = [len(part) for part in job.cut_ranges]
     exhaust(do_stage(job, executor, observer, "cut", rows))

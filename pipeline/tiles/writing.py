@@ -1,11 +1,7 @@
-"""The input streamed once more into the outputs, in order, with all fields.
-
-Outputs whose records are of one size are written in parts by several workers, each its own range
-of rows; the others by one process, as a stream.
-"""
+"""Outputs whose records are of one size: written by several workers, each its own range of rows."""
 
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,67 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import LostPointsError, WorkError
+from pipeline.errors import WorkError
 from pipeline.outputs.modes import OutputMode, PointScores, mode_of
-from pipeline.tiles.sealed import read_if_whole, read_sealed, write_sealed
+from pipeline.work.files import open_rows, read_if_whole, read_sealed, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import CREATING, Job
-from pipeline.work.rows import open_rows
-from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parts import PartSummary, PartWriter
+from tiling.formats.points import DEFAULT_BATCH
 from tiling.ledger import note_end, noting
 
-BATCH = 500_000
 PARTS_FILE = "parts.json"
 GROWING = "outputs"
 """Within the work folder: outputs that are being written in parts."""
-
-
-def write_stream(
-    mode: OutputMode,
-    batches: Iterable[PointBatch],
-    outputs: Sequence[Path],
-    advance: Callable[[int], None],
-) -> None:
-    """Write the outputs of one file of the map.
-
-    Parameters
-    ----------
-    mode : OutputMode
-        Of the file.
-    batches : iterable of PointBatch
-        The points of the file.
-    outputs : sequence of Path
-        To be written.
-    advance : callable
-        Told of points done.
-    """
-    counts = mode.counts(range(mode.reader.description.point_count))
-    with ExitStack() as stack:
-        writers = [
-            stack.enter_context(each.writer(path, count))
-            for each, path, count in zip(mode.formats, outputs, counts, strict=True)
-        ]
-        for batch in batches:
-            for writer, of_output in zip(writers, mode.records(batch), strict=True):
-                writer.write(of_output)
-            advance(len(batch.xyz))
-
-
-def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
-    """Check that the outputs of a file together have its points.
-
-    Raises
-    ------
-    LostPointsError
-        When they do not.
-    """
-    description = reader.description
-    written = sum(open_map(path).description.point_count for path in outputs)
-    if written != description.point_count:
-        raise LostPointsError(
-            f"{description.path}: {description.point_count} points read, {written} written"
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,17 +97,11 @@ def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
     """Create the outputs of some files, to be written in parts, and keep the plan.
 
     Where an earlier run left them, and the same is wanted, its parts are gone on with.
-
-    Parameters
-    ----------
-    job : Job
-        Whose labels are known.
-    files : sequence of int
-        Files of the map whose format is written in parts.
     """
     plan = _plan_of(job, files)
     writers = [writer for file in files for writer in _writers(job, plan, file)]
-    if job.work.has_done(CREATING) and _earlier_plan(job) == _kept(plan, writers):
+    earlier = read_if_whole(job.root / PARTS_FILE)
+    if job.work.has_done(CREATING) and earlier == _kept(plan, writers):
         for number in range(len(plan.parts)):
             if _summaries(job, plan, number) is None:
                 job.work.forget("write", number)
@@ -178,18 +119,14 @@ def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
     return plan
 
 
-def _earlier_plan(job: Job) -> dict[str, Any] | None:
-    return read_if_whole(job.root / PARTS_FILE)
-
-
 def _plan_of(job: Job, files: Sequence[int]) -> OutputPlan:
     points, parts = {}, []
     for file in files:
-        mode = mode_of_file(job, file)
+        mode = _mode_of_file(job, file)
         firsts = (0,) * len(mode.formats)
         count = mode.reader.description.point_count
-        for start in range(0, count, 2 * BATCH):
-            rows = range(start, min(start + 2 * BATCH, count))
+        for start in range(0, count, 2 * DEFAULT_BATCH):
+            rows = range(start, min(start + 2 * DEFAULT_BATCH, count))
             parts.append(OutputPart(file, rows, firsts))
             firsts = tuple(map(sum, zip(firsts, mode.counts(rows), strict=True)))
         points[file] = firsts
@@ -209,7 +146,7 @@ def _kept(plan: OutputPlan, writers: Sequence[PartWriter]) -> dict[str, Any]:
 def _writers(job: Job, plan: OutputPlan, file: int) -> list[PartWriter]:
     counts = plan.points[file]
     paths = growing_outputs(job, file, len(counts))
-    formats = mode_of_file(job, file).formats
+    formats = _mode_of_file(job, file).formats
     return [
         each.part_writer(path, count)
         for each, path, count in zip(formats, paths, counts, strict=True)
@@ -220,13 +157,13 @@ def write_part(job: Job, number: int) -> TaskReport:
     """Write one part of the outputs, and keep its summaries."""
     plan = _plan(job)
     part = plan.parts[number]
-    mode = mode_of_file(job, part.file)
+    mode = _mode_of_file(job, part.file)
     with ExitStack() as stack:
         outputs = [
             stack.enter_context(writer.open_part(first))
             for writer, first in zip(_writers(job, plan, part.file), part.firsts, strict=True)
         ]
-        for batch in mode.reader.batches(BATCH, part.rows):
+        for batch in mode.reader.batches(DEFAULT_BATCH, part.rows):
             for output, records in zip(outputs, mode.records(batch), strict=True):
                 output.write(records)
         for output in outputs:
@@ -273,7 +210,7 @@ def _summaries(job: Job, plan: OutputPlan, number: int) -> list[PartSummary] | N
     return summaries if counts == plan.counts(number) else None
 
 
-def mode_of_file(job: Job, file: int) -> OutputMode:
+def _mode_of_file(job: Job, file: int) -> OutputMode:
     """Return how the points of a file of the map go into its outputs, by the job's labels."""
     output, reader = job.configuration.output, job.collection.readers[file]
     first_row = job.collection.first_rows[file]

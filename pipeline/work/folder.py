@@ -18,8 +18,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pipeline.errors import WorkError
-from pipeline.tiles.sealed import read_sealed, write_sealed
-from pipeline.work.array_file import map_array, read_arrays, write_arrays
+from pipeline.work.files import map_array, read_arrays, read_sealed, write_arrays, write_sealed
 from tiling.atomic import atomic_file
 from tiling.ledger import Written
 
