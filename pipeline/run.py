@@ -13,21 +13,14 @@ from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.in_memory import clean_in_memory
 from pipeline.in_tiles import clean_in_tiles
-from pipeline.outputs.folder import (
-    CONFIGURATION_FILE,
-    LABELS_FILE,
-    REPORT_FILE,
-    RUN_FILE,
-    OutputNames,
-    default_folder,
-    output_folder,
-)
+from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import write_labels
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.progress import StageObserver
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.report_page.page import Views, render_page
 from pipeline.report_page.tile_chart import TileWork
 from pipeline.showing import only_showing

@@ -9,8 +9,8 @@ from typing import Any
 from pipeline.cluster.record import CLUSTER_FOLDER, submitted_job
 from pipeline.configuration.quantities import in_time
 from pipeline.errors import WorkError
-from pipeline.outputs.folder import STAGING
 from pipeline.outputs.folder_lock import folder_is_locked
+from pipeline.replacing import STAGING
 from pipeline.work.files import read_sealed
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work, stages_begun
 

@@ -137,9 +137,9 @@ def preview_command(
     """
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
-    from pipeline.outputs.folder import REPORT_FILE  # noqa: PLC0415
     from pipeline.preview import WHOLE, Window, preview  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
 
     if (window is not None) + (centre is not None) + thin > 1:
         raise ConfigurationError("expected one of --window, --centre and --thin, found several")

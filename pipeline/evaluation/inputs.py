@@ -16,8 +16,8 @@ from pipeline.evaluation.labels import (
 )
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.row_values import RowValues
-from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
 from pipeline.outputs.reading import label_batches, table_batches
+from pipeline.replacing import LABELS_FILE, RUN_FILE
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
 from tiling.parquet_file import row_count

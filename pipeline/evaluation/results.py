@@ -7,8 +7,8 @@ from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.inputs import find_inputs
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.report import EvaluationReport
-from pipeline.outputs.folder import RUN_FILE
 from pipeline.progress import watching
+from pipeline.replacing import RUN_FILE
 from pipeline.showing import check_named_file, drawing_library
 from tiling.atomic import atomic_file
 

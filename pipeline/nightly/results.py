@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.configuration.run import Configuration
-from pipeline.outputs.folder import REPORT_FILE, RUN_FILE
 from pipeline.outputs.folder_lock import folder_is_locked
+from pipeline.replacing import REPORT_FILE, RUN_FILE
 from pipeline.work.folder import WORK_FOLDER, remove_work, stages_begun
 
 logger = logging.getLogger("dynahull")

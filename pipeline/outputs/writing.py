@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -139,7 +140,8 @@ def write_maps(
 
 def write_labels(cleaned: CleanedMap, path: Path) -> None:
     """Write label, cluster, density and score of every point, in input order, as Parquet."""
-    columns = (cleaned.labels, cleaned.cluster, cleaned.density, cleaned.score)
+    every = (cleaned.labels, cleaned.cluster, cleaned.density, cleaned.score)
+    columns: list[NDArray[Any]] = [each for each in every if each is not None]  # asked for
     titles = pa.array([label.title for label in Label])
     schema = pa.schema(
         {

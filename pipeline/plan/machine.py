@@ -31,7 +31,7 @@ def available_cores(wanted: int | Literal["auto"]) -> int:
         from dask.system import cpu_count  # noqa: PLC0415 (it may fail)
     except ValueError as error:
         raise ConfigurationError(f"Dask's own configuration: {error}") from error
-    return cpu_count()
+    return int(cpu_count())
 
 
 def peak_memory() -> int:

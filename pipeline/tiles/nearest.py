@@ -76,7 +76,7 @@ class Vicinity:
     def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which of other points lie there, (m,) bool."""
         place = (xyz[:, :2] - self.low) / self._cell
-        found = ((place >= 0) & (place < self._marked.shape)).all(axis=1)
+        found: NDArray[np.bool_] = ((place >= 0) & (place < self._marked.shape)).all(axis=1)
         cells = place[found].astype(np.int64)
         found[found] = self._marked[cells[:, 0], cells[:, 1]]
         return found
