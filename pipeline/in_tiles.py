@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynahull.result import ClusterSummary
 from pipeline.cluster.choice import workers_for
 from pipeline.decision import Decision
 from pipeline.outputs.folder import OutputNames
@@ -13,7 +14,7 @@ from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.tiles.cleaning import TiledResult, clean_tiles
+from pipeline.tiles.cleaning import clean_tiles
 from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
@@ -34,7 +35,7 @@ def clean_in_tiles(
     """Clean a map of several tiles, and write its results."""
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
-        result = clean_tiles(
+        counts, clusters = clean_tiles(
             job,
             executor,
             observer,
@@ -44,7 +45,7 @@ def clean_in_tiles(
         decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
         views, tiles = None, None
         if job.configuration.output.report == "html":
-            views = partial(_views, job, result, decision)
+            views = partial(_views, job, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
         cluster, density, score = None, None, None
@@ -59,14 +60,12 @@ def clean_in_tiles(
             read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
         scores = kept_scores(job)
         write_maps(collection, output, labels, scores, places, observer, in_parts, read)
-    return CleanedMap(
-        labels, cluster, density, score, result.counts, result.clusters, decision, views, tiles
-    )
+    return CleanedMap(labels, cluster, density, score, counts, clusters, decision, views, tiles)
 
 
-def _views(job: Job, result: TiledResult, decision: Decision | None) -> Views:
+def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision | None) -> Views:
     """Return what the report shows."""
-    return Views.of(gather_sample(job), result.clusters, job.configuration.removal, decision)
+    return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
 
 
 def _write_in_parts(
@@ -76,13 +75,11 @@ def _write_in_parts(
 
     They grow in the work folder, where a run that goes on finds what is done of them.
     """
-    readers = job.collection.readers
-    files = [file for file, reader in enumerate(readers) if reader.writes_parts]
-    plan = plan_parts(job, files)
+    plan = plan_parts(job)
     exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
     finish_parts(job, plan)
-    for file in files:
+    for file in plan.points:
         growing = growing_outputs(job, file, len(outputs[file]))
         for grown, place in zip(growing, outputs[file], strict=True):
             grown.replace(place)
-    return files
+    return list(plan.points)

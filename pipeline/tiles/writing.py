@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.errors import WorkError
 from pipeline.outputs.modes import OutputMode, PointScores, mode_of
-from pipeline.work.files import open_rows, read_if_whole, read_sealed, write_sealed
+from pipeline.work.files import open_rows, read_if_whole, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import CREATING, Job
 from tiling.formats.parts import PartSummary, PartWriter
@@ -52,13 +52,10 @@ class OutputPlan:
     points : dict of int to tuple of int
         Of each input file, the points of its outputs.
     parts : tuple of OutputPart
-    mode : str
-        The configuration that decides what goes where.
     """
 
     points: dict[int, tuple[int, ...]]
     parts: tuple[OutputPart, ...]
-    mode: str
 
     def counts(self, number: int) -> tuple[int, ...]:
         """Return the points of each output in a part."""
@@ -67,41 +64,21 @@ class OutputPlan:
         ends = following[0].firsts if same_file else self.points[part.file]
         return tuple(end - first for end, first in zip(ends, part.firsts, strict=True))
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what `from_json` reads, of the types of JSON."""
-        parts = [
-            [part.file, part.rows.start, part.rows.stop, list(part.firsts)] for part in self.parts
-        ]
-        points = [[file, list(counts)] for file, counts in self.points.items()]
-        return {"points": points, "parts": parts, "mode": self.mode}
-
-    @classmethod
-    def from_json(cls, kept: Any) -> "OutputPlan":
-        """Return the plan of which `to_json` returned this."""
-        return cls(
-            {file: tuple(counts) for file, counts in kept["points"]},
-            tuple(
-                OutputPart(file, range(start, stop), tuple(firsts))
-                for file, start, stop, firsts in kept["parts"]
-            ),
-            kept["mode"],
-        )
-
 
 def growing_outputs(job: Job, file: int, outputs: int) -> tuple[Path, ...]:
     """Return where the outputs of a file of the map grow, by names that follow from no other."""
     return tuple(job.root / GROWING / f"{file:06d}-{output}" for output in range(outputs))
 
 
-def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
-    """Create the outputs of some files, to be written in parts, and keep the plan.
+def plan_parts(job: Job) -> OutputPlan:
+    """Create the outputs of the files whose format is written in parts, and keep the plan.
 
     Where an earlier run left them, and the same is wanted, its parts are gone on with.
     """
-    plan = _plan_of(job, files)
-    writers = [writer for file in files for writer in _writers(job, plan, file)]
+    plan = _plan_of(job)
+    writers = [writer for file in plan.points for writer in _writers(job, plan, file)]
     earlier = read_if_whole(job.root / PARTS_FILE)
-    if job.work.has_done(CREATING) and earlier == _kept(plan, writers):
+    if job.work.has_done(CREATING) and earlier == _kept(job, plan, writers):
         for number in range(len(plan.parts)):
             if _summaries(job, plan, number) is None:
                 job.work.forget("write", number)
@@ -114,14 +91,16 @@ def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
         for writer in writers:
             writer.create()
             note_end(writer.path)
-        write_sealed(job.root / PARTS_FILE, _kept(plan, writers))
+        write_sealed(job.root / PARTS_FILE, _kept(job, plan, writers))
     job.work.finish_step(CREATING, written)
     return plan
 
 
-def _plan_of(job: Job, files: Sequence[int]) -> OutputPlan:
+def _plan_of(job: Job) -> OutputPlan:
     points, parts = {}, []
-    for file in files:
+    for file, reader in enumerate(job.collection.readers):
+        if not reader.writes_parts:
+            continue
         mode = _mode_of_file(job, file)
         firsts = (0,) * len(mode.formats)
         count = mode.reader.description.point_count
@@ -130,17 +109,19 @@ def _plan_of(job: Job, files: Sequence[int]) -> OutputPlan:
             parts.append(OutputPart(file, rows, firsts))
             firsts = tuple(map(sum, zip(firsts, mode.counts(rows), strict=True)))
         points[file] = firsts
-    return OutputPlan(points, tuple(parts), job.configuration.output.model_dump_json())
+    return OutputPlan(points, tuple(parts))
 
 
-def _kept(plan: OutputPlan, writers: Sequence[PartWriter]) -> dict[str, Any]:
+def _kept(job: Job, plan: OutputPlan, writers: Sequence[PartWriter]) -> dict[str, Any]:
     """Return what is kept of a plan whose outputs were created.
 
     It is compared with what is wanted, and never believed.
     """
     paths = [writer.path for writer in writers]
     sizes = [path.stat().st_size if path.is_file() else None for path in paths]
-    return plan.to_json() | {"sizes": sizes}
+    points = [[file, list(counts)] for file, counts in plan.points.items()]
+    mode = job.configuration.output.model_dump_json()
+    return {"points": points, "mode": mode, "sizes": sizes}
 
 
 def _writers(job: Job, plan: OutputPlan, file: int) -> list[PartWriter]:
@@ -179,15 +160,13 @@ def file_of_part(job: Job, number: int) -> int:
 
 
 def _plan(job: Job) -> OutputPlan:
-    path = job.root / PARTS_FILE
-    return _opened_plan(path, path.stat().st_mtime_ns)
+    return _planned(str(job.root), (job.root / PARTS_FILE).stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=2)
-def _opened_plan(path: Path, changed: int) -> OutputPlan:
-    """Read the plan, once for all parts that a process writes."""
-    del changed
-    return OutputPlan.from_json(read_sealed(path))
+def _planned(folder: str, _changed: int) -> OutputPlan:
+    """Return the plan, made once for all parts that a process writes."""
+    return _plan_of(Job.open(folder))
 
 
 def _summaries(job: Job, plan: OutputPlan, number: int) -> list[PartSummary] | None:

@@ -19,8 +19,8 @@ class Tile:
     def __init__(self, cluster, density, rows):
         self.cluster, self.density, self.rows = cluster, density, rows
 
-    def ordered(self, cluster):
-        return np.sort(self.density[self.cluster == cluster])
+    def densities(self, cluster):
+        return self.density[self.cluster == cluster]
 
     def rows_at(self, cluster, density):
         return self.rows[(self.cluster == cluster) & (self.density == density)]

@@ -435,8 +435,8 @@ PLANS = {
     "nothing": lambda kept: "",
     "too deep": lambda kept: "[" * 100_000,
     "another kind": lambda kept: "[]",
-    "no parts": lambda kept: kept | {"parts": []},
-    "other rows": lambda kept: kept | {"parts": kept["parts"][::-1]},
+    "no parts": lambda kept: kept | {"points": []},
+    "other rows": lambda kept: kept | {"points": [[0, [1, 2]]]},
     "other sizes": lambda kept: kept | {"sizes": [1, 2]},
 }
 
