@@ -9,6 +9,7 @@ from pipeline.eligibility import survey_map
 from pipeline.errors import OutputError
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
+from pipeline.plan.picture import draw_plan
 from pipeline.plan.plan import check_plan, make_plan
 from pipeline.plan.resources import check_one_tile, is_one_tile
 from pipeline.progress import StageObserver
@@ -57,8 +58,6 @@ def plan_map(
     plan = make_plan(collection, surveyed, configuration, workers)
     drawn = ""
     if picture is not None:
-        from pipeline.plan.picture import draw_plan  # noqa: PLC0415 (an optional package)
-
         with only_showing(str(picture), observer.warn):
             draw_plan(plan, surveyed, picture)
             drawn = f"\ndrawn:             {printable(picture)}"

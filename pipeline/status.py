@@ -59,7 +59,7 @@ def _present_stage(state: dict[str, Any]) -> list[str]:
     if state["rate"] > 0 and waiting:
         left = (state["points"] - state["done_points"]) / state["rate"]
         lines.append(f"{'':<10} {state['rate']:,.0f} points/s, {in_time(left)} left in this stage")
-    lines.append(f"{'':<10} last sign {in_time(time.time() - state['updated'])} ago")
+    lines.append(f"{'':<10} last heartbeat {in_time(time.time() - state['updated'])} ago")
     for number, reason in state["failed"].items():
         lines.append(f"{'':<10} task {number} failed: {reason}")
     return lines

@@ -69,7 +69,7 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
         )
     points = read_result(folder)
     if points.density is None:
-        logger.info("densities are shown of runs with --labels, or with output.mode=label")
+        logger.info("Colouring by density needs --labels: run again with it.")
     if recording is not None:
         try:
             with atomic_file(recording) as temporary:

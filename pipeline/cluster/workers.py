@@ -12,7 +12,6 @@ from typing import Any
 import dask
 from distributed import Client, Security
 
-from pipeline.cluster.attendance import Attendance
 from pipeline.cluster.batch_systems import (
     BatchSystem,
     JobDescription,
@@ -21,6 +20,7 @@ from pipeline.cluster.batch_systems import (
 )
 from pipeline.cluster.record import check_folder, cluster_folder, logs_folder, record_workers
 from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
+from pipeline.cluster.supervisor import Supervisor
 from pipeline.configuration.cluster import ClusterParameters, TLSParameters
 from pipeline.configuration.quantities import in_home
 from pipeline.configuration.run import Configuration
@@ -52,14 +52,14 @@ class OnCluster(OnDask):
     Parameters
     ----------
     client : distributed.Client
-    attendance : Attendance
+    supervisor : Supervisor
     workers : int
         The number that is kept.
     """
 
-    def __init__(self, client: Any, attendance: Attendance, workers: int) -> None:
+    def __init__(self, client: Any, supervisor: Supervisor, workers: int) -> None:
         super().__init__(client)
-        self._attendance, self._kept = attendance, workers
+        self._supervisor, self._kept = supervisor, workers
 
     @property
     def workers(self) -> int:
@@ -69,7 +69,7 @@ class OnCluster(OnDask):
     def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
         """Do the tasks; raise a `ClusterError` where no workers come any more."""
         for number, outcome in super().run(task, folder, numbers):
-            self._attendance.check()
+            self._supervisor.check()
             yield number, outcome
 
 
@@ -127,7 +127,7 @@ def cluster_workers(
         "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
         "distributed.admin.log-length": 1_000,
         "distributed.comm.timeouts.connect": "60s",
-        # Who is lost is decided by Attendance.
+        # Who is lost is decided by Supervisor.
         "distributed.deploy.lost-worker-timeout": "3650 days",
     }
     with (
@@ -138,15 +138,15 @@ def cluster_workers(
     ):
         if parameters.dashboard is not None:
             logger.info("dashboard: %s", cluster.dashboard_link)
-        attendance = Attendance(cluster, client, system, parameters, output)
-        client.subscribe_topic(TOPIC, attendance.refused)
+        supervisor = Supervisor(cluster, client, system, parameters, output)
+        client.subscribe_topic(TOPIC, supervisor.refused)
         shared = SharedFiles.of(work, maps)
         try:
             client.register_plugin(SharingCheck(shared))
-            attendance.begin()
-            yield OnCluster(client, attendance, parameters.workers)
+            supervisor.begin()
+            yield OnCluster(client, supervisor, parameters.workers)
         finally:
-            attendance.end()
+            supervisor.end()
             shared.remove()
     record_workers(output, system.name, [])
 

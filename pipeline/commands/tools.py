@@ -70,7 +70,7 @@ def simulate_command(
         typer.Option(
             "--map-only/--all",
             help="Leave out the scans, the static truth and the low-activity map. "
-            "All is the default, and the map only with --points.",
+            "Default: all files; with --points, only the map.",
             show_default=False,
         ),
     ] = None,

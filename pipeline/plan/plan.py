@@ -24,7 +24,7 @@ from tiling.occupancy import Occupancy, count_within
 from tiling.survey import Survey
 
 _BYTES_A_POINT = 260
-"""Of the largest tile, core and halo, in the stage that takes most."""
+"""Bytes per point of the largest tile (core and halo) in the most expensive stage."""
 
 _BYTES_ON_DISK = 100
 """A point of a tile, core or halo, in pieces, chunks and ground-free points together."""

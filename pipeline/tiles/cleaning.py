@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import numpy as np
@@ -79,9 +78,8 @@ def clean_tiles(
         report.counts[1] for _, report in do_stage(job, executor, observer, "ground", tiles)
     )
     warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
-    with ThreadPoolExecutor(1) as thread:
-        thread.submit(remove_pieces, job)  # one core has time for it
-        find_clusters(job, observer)
+    remove_pieces(job)
+    find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
         reports = do_stage(job, executor, observer, "evidence", tiles)

@@ -33,7 +33,7 @@ _FAILED_STARTS = 3
 """Times that every job in turn may end before a worker came from it."""
 
 
-class Attendance:
+class Supervisor:
     """Watches over the jobs of a cluster's workers, in a thread of its own.
 
     Parameters
@@ -67,7 +67,7 @@ class Attendance:
         self._nobody = True
         self._states: Mapping[str, JobState] = {}
         self._ended = Event()
-        self._thread = Thread(target=self._watch, name="attendance", daemon=True)
+        self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
 
     def begin(self) -> None:
         """Submit the jobs, and wait until the first worker is there.

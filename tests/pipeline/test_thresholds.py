@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.removal import remove_least_dense
-from pipeline.tiles import thresholds as selection
+from pipeline.tiles import thresholds
 from pipeline.tiles.thresholds import find_cuts
 
 
@@ -60,7 +60,7 @@ def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
     percentages = [Fraction(int(share), 10) for share in random.integers(0, 1001, count)]
 
     tiles = tiles_of(cluster, density, rows, pieces, seed)
-    with mock.patch.object(selection, "_ROW_BITS", row_bits):
+    with mock.patch.object(thresholds, "_ROW_BITS", row_bits):
         cuts = find_cuts(tiles, counts, percentages, threshold)
 
     for index, cut in enumerate(cuts):
