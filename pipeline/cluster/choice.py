@@ -20,9 +20,11 @@ def workers_for(job: Job) -> Iterator[Executor]:
     configuration = job.configuration
     workers = available_cores(configuration.execution.workers)
     if is_elsewhere(configuration):
-        from pipeline.cluster.workers import workers_elsewhere  # noqa: PLC0415 (an extra)
+        from pipeline.cluster import workers as elsewhere  # noqa: PLC0415 (an extra)
 
-        with workers_elsewhere(configuration, job.root, job.paths) as executor:
+        running = configuration.execution.scheduler is not None
+        opened = elsewhere.running_scheduler if running else elsewhere.cluster_workers
+        with opened(configuration, job.root, job.paths) as executor:
             yield executor
     elif configuration.execution.cluster == "none" or workers == 1:
         yield InProcess()

@@ -74,33 +74,6 @@ class OnCluster(OnDask):
 
 
 @contextmanager
-def workers_elsewhere(
-    configuration: Configuration, work: Path, maps: Sequence[Path]
-) -> Iterator[Executor]:
-    """Open workers that are not processes of this run: of a running scheduler, or a batch system.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    work : Path
-        Work folder of the run, in its output folder.
-    maps : sequence of Path
-        The map's files, which workers read.
-
-    Raises
-    ------
-    PipelineError
-        When there are no workers to be had, or they do not share what they must.
-    """
-    if configuration.execution.scheduler is not None:
-        with running_scheduler(configuration, work, maps) as executor:
-            yield executor
-    else:
-        with cluster_workers(configuration, work, maps) as executor:
-            yield executor
-
-
-@contextmanager
 def cluster_workers(
     configuration: Configuration, work: Path, maps: Sequence[Path]
 ) -> Iterator[Executor]:
@@ -110,8 +83,10 @@ def cluster_workers(
     ----------
     configuration : Configuration
         Its `execution.cluster` names the batch system.
-    work, maps
-        As of `workers_elsewhere`.
+    work : Path
+        Work folder of the run, in its output folder.
+    maps : sequence of Path
+        The map's files, which workers read.
 
     Raises
     ------
