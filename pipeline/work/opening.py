@@ -11,13 +11,11 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.configuration.run import Configuration
 from pipeline.errors import WorkError
-from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.work.files import read_sealed
 from pipeline.work.folder import is_self_contained, remove, remove_work
@@ -75,7 +73,7 @@ def open_job(
         remove_work(work)
         work.mkdir()
     job.save()
-    _verify(job, observer, stage)
+    _Verification(job, observer, stage).all()
     return job
 
 
@@ -96,8 +94,8 @@ def job_key(digest: str, configuration: Configuration) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _verify(job: Job, observer: StageObserver, stage: str) -> None:
-    """Remove the markers of tasks whose files are not as they were written.
+class _Verification:
+    """One look through a work folder: markers go of tasks whose files are not as they were written.
 
     Parameters
     ----------
@@ -108,29 +106,12 @@ def _verify(job: Job, observer: StageObserver, stage: str) -> None:
     stage : str
         That gathers the chunks of tiles: `ground` or `chunk`.
     """
-    with ThreadPoolExecutor(available_cores(job.configuration.execution.workers)) as threads:
-        _Verification(job, observer, stage, threads).all()
 
-
-class _Verification:
-    """One look through a work folder.
-
-    Parameters
-    ----------
-    job, observer, stage
-        See `_verify`.
-    threads : ThreadPoolExecutor
-        Files are read side by side.
-    """
-
-    def __init__(
-        self, job: Job, observer: StageObserver, stage: str, threads: ThreadPoolExecutor
-    ) -> None:
+    def __init__(self, job: Job, observer: StageObserver, stage: str) -> None:
         self._job = job
         self._work = job.work
         self._observer = observer
         self._stage = stage
-        self._threads = threads
         self._chunks: dict[Path, Written] = {}
         self._damaged: set[str] = set()
 
@@ -188,8 +169,8 @@ class _Verification:
         self, markers: Sequence[Path], matters: Callable[[Written], bool] = lambda each: True
     ) -> None:
         """Remove markers that are damaged, or whose files are."""
-        looked_at = self._threads.map(lambda path: self._looked_at(path, matters), markers)
-        for path, damaged in zip(markers, looked_at, strict=True):
+        for path in markers:
+            damaged = self._looked_at(path, matters)
             self._damaged.update(str(each.relative_to(self._work.root)) for each in damaged)
             if damaged:
                 remove(path)
