@@ -17,8 +17,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pipeline.errors import WorkError
-from pipeline.work.files import map_array, read_arrays, read_sealed, write_arrays, write_sealed
+from pipeline.work.files import map_array, read_arrays, read_if_whole, write_arrays, write_sealed
 from tiling.atomic import atomic_file
 from tiling.ledger import Written
 
@@ -109,12 +108,9 @@ class WorkFolder:
 
     def marker(self, path: Path) -> Marker | None:
         """Return what a marker of this run says; None where there is none that is whole."""
+        stored = read_if_whole(path)
         try:
-            stored = read_sealed(path)
-        except WorkError:
-            return None
-        try:
-            if stored["key"] != self.key:
+            if stored is None or stored["key"] != self.key:
                 return None
             report = stored["report"]
             return Marker(

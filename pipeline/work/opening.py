@@ -15,9 +15,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.configuration.run import Configuration
-from pipeline.errors import WorkError
 from pipeline.progress import StageObserver
-from pipeline.work.files import read_sealed
+from pipeline.work.files import read_if_whole
 from pipeline.work.folder import is_self_contained, remove, remove_work
 from pipeline.work.job import CHUNKS_FOLDER, CREATING, FITTING, JOB_FILE, PLANNING, Job
 from pipeline.work.map_state import MapState
@@ -79,10 +78,8 @@ def open_job(
 
 def _is_of_another(work: Path, key: str) -> bool:
     """Tell whether work says that it is not of this run; each of its markers says so as well."""
-    try:
-        return bool(read_sealed(work / JOB_FILE)["key"] != key)
-    except WorkError:
-        return False
+    stored = read_if_whole(work / JOB_FILE)
+    return bool(stored is not None and stored["key"] != key)
 
 
 def job_key(digest: str, configuration: Configuration) -> str:
