@@ -3,7 +3,7 @@
 A task writes its files under temporary names, flushes and renames them, and writes its marker last.
 A marker names the key of the run, a hash of input and configuration: work of another run is never
 taken for this one's. So a run killed at any moment goes on with the tasks that have no marker. It
-names all that the task wrote as well, each with a checksum: see `pipeline.tiles.verifying`.
+names all that the task wrote as well, each with a checksum: see `pipeline.work.opening`.
 """
 
 import os

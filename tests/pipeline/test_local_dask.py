@@ -112,7 +112,7 @@ def test_only_this_machine_may_knock(client):
     assert {place.ip for place in listening(client)} == {"127.0.0.1"}
 
 
-def test_keys_are_on_no_disk_and_nobody_else_may_look(client):
+def test_keys_stay_on_no_disk_and_nobody_else_may_look(client):
     folder = temporary_folder()
     assert folder.stat().st_mode & 0o777 == 0o700
     kept = [path for path in folder.rglob("*") if path.is_file()]
