@@ -21,7 +21,7 @@ from collections import Counter
 from pathlib import Path
 
 from pipeline.errors import WorkError
-from pipeline.tiles.sealed import read_sealed
+from pipeline.work.files import read_sealed
 
 COMMAND = [
     sys.executable,

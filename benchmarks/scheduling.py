@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.density import machine
 from pipeline.work.folder import TaskReport, WorkFolder
-from pipeline.workers.executors import local_workers
+from pipeline.workers.local_dask import local_workers
 
 
 def mark_itself(folder: str, number: int) -> TaskReport:

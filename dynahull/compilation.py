@@ -7,6 +7,7 @@ compiles under a lock, and says so; the others wait for it and read what it wrot
 can be written, each process compiles.
 """
 
+import fcntl
 import hashlib
 import logging
 import os
@@ -131,10 +132,8 @@ def _locked(path: Path) -> Iterator[None]:
     """Hold a lock file while others wait; go on without where the file system has no locks."""
     with path.open("w") as file:
         try:
-            import fcntl  # noqa: PLC0415 (POSIX only)
-
             fcntl.flock(file, fcntl.LOCK_EX)
-        except (ImportError, OSError):
+        except OSError:
             log.debug("No lock on %s: several processes may compile at once.", path)
         # Closing the file releases the lock.
         yield

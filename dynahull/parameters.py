@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
+from types import MappingProxyType
 from typing import Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from dynahull.errors import InvalidParametersError
 from dynahull.ground.parameters import GroundParameters
-from dynahull.ready import READY
 
 __all__ = [
+    "READY",
     "ClusteringParameters",
     "DensityParameters",
     "GroundParameters",
@@ -19,6 +20,37 @@ __all__ = [
     "RemovalParameters",
     "validation_message",
 ]
+
+
+READY: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "paper": {},
+        "auto": {"removal": {"decision": "auto", "confidence": 0.5}},
+        "indoor": {"max_height": 2.5},
+        "outdoor": {
+            "ground": {
+                "method": "slope",
+                "slope": {
+                    "cell": 1.5,
+                    "clearance": None,
+                    "flatness": 0.3,
+                    "continuity": 2.0,
+                    "window": 18.0,
+                    "slope": 0.2,
+                    "step": 0.0,
+                    "extension": 10.0,
+                    "steepest": 100.0,
+                    "tolerance": 0.25,
+                    "noise_tolerance": 0.75,
+                    "slope_tolerance": 1.25,
+                    "tolerance_limit": 100.0,
+                },
+            }
+        },
+    }
+)
+"""The ready parameters, by name: sections that differ from the defaults. `configs/` has them with
+what a run of the product needs."""
 
 
 class _Section(BaseModel):

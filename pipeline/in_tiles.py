@@ -1,27 +1,28 @@
 """A map of several tiles: cleaned tile by tile by workers."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.ahead import begun
-from pipeline.cleaned_map import CleanedMap
+from dynahull.result import ClusterSummary
 from pipeline.cluster.choice import workers_for
 from pipeline.decision import Decision
 from pipeline.outputs.folder import OutputNames
+from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.tiles.cleaning import TiledResult, clean_tiles
-from pipeline.tiles.labelling import gather_decision
-from pipeline.tiles.sampling import gather_sample, tile_work
-from pipeline.tiles.writing import BATCH, kept_scores
+from pipeline.tiles.cleaning import clean_tiles
+from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
+from pipeline.tiles.stages import do_stage, exhaust
+from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
+from pipeline.work.files import open_rows
 from pipeline.work.job import Job
-from pipeline.work.rows import open_rows
-from pipeline.write_results import write_maps
+from pipeline.workers.executors import Executor
 from tiling.collection import MapCollection
-from tiling.formats import PointBatch
+from tiling.formats.points import DEFAULT_BATCH
 
 
 def clean_in_tiles(
@@ -34,7 +35,7 @@ def clean_in_tiles(
     """Clean a map of several tiles, and write its results."""
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
-        result = clean_tiles(
+        counts, clusters = clean_tiles(
             job,
             executor,
             observer,
@@ -44,7 +45,7 @@ def clean_in_tiles(
         decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
         views, tiles = None, None
         if job.configuration.output.report == "html":
-            views = _views(job, result, decision, meanwhile=executor.workers > 1)
+            views = partial(_views, job, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
         cluster, density, score = None, None, None
@@ -52,41 +53,33 @@ def clean_in_tiles(
             cluster = open_rows(job.rows_path("cluster"), np.int32)
             density = open_rows(job.rows_path("density"), np.float64)
             score = open_rows(job.rows_path("score"), np.float32)
-        write_maps(
-            collection,
-            output,
-            labels,
-            kept_scores(job),
-            names,
-            staging,
-            observer,
-            job,
-            executor,
-            read=_decoded_batches(job),
-        )
-    return CleanedMap(
-        labels, cluster, density, score, result.counts, result.clusters, decision, views, tiles
-    )
+        places = make_places(names, staging)
+        in_parts = _write_in_parts(job, executor, observer, places)
+        decoded, read = job.decoded, None
+        if decoded is not None and decoded.has_records:
+            read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
+        scores = kept_scores(job)
+        write_maps(collection, output, labels, scores, places, observer, in_parts, read)
+    return CleanedMap(labels, cluster, density, score, counts, clusters, decision, views, tiles)
 
 
-def _views(
-    job: Job, result: TiledResult, decision: Decision | None, meanwhile: bool
-) -> Callable[[], Views]:
-    """Return what gives the views of the report.
+def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision | None) -> Views:
+    """Return what the report shows."""
+    return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
 
-    They are prepared `meanwhile` where there is a core for it.
+
+def _write_in_parts(
+    job: Job, executor: Executor, observer: StageObserver, outputs: Sequence[tuple[Path, ...]]
+) -> list[int]:
+    """Write the outputs of the files of the map that can be written in parts; return these files.
+
+    They grow in the work folder, where a run that goes on finds what is done of them.
     """
-
-    def views() -> Views:
-        removal = job.configuration.removal
-        return Views.of(gather_sample(job), result.clusters, removal, decision)
-
-    return begun(views) if meanwhile else views
-
-
-def _decoded_batches(job: Job) -> Callable[[int], Iterable[PointBatch]] | None:
-    """Return what gives the points of a file of the map, where their records were kept."""
-    decoded = job.decoded
-    if decoded is None or not decoded.has_records:
-        return None
-    return lambda file: decoded.batches_of(file, BATCH)
+    plan = plan_parts(job)
+    exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
+    finish_parts(job, plan)
+    for file in plan.points:
+        growing = growing_outputs(job, file, len(outputs[file]))
+        for grown, place in zip(growing, outputs[file], strict=True):
+            grown.replace(place)
+    return list(plan.points)

@@ -5,17 +5,16 @@ from pathlib import Path
 
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
-from pipeline.drawing import drawing_library
+from pipeline.eligibility import survey_map
 from pipeline.errors import OutputError
-from pipeline.named_file import check_named_file
-from pipeline.outputs.folder import locked_folder
+from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
+from pipeline.plan.picture import draw_plan
 from pipeline.plan.plan import check_plan, make_plan
 from pipeline.plan.resources import check_one_tile, is_one_tile
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
-from pipeline.showing import only_showing, printable
-from pipeline.taking_part import survey_map
+from pipeline.showing import check_named_file, drawing_library, only_showing, printable
 from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.units import open_collection
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
@@ -59,8 +58,6 @@ def plan_map(
     plan = make_plan(collection, surveyed, configuration, workers)
     drawn = ""
     if picture is not None:
-        from pipeline.plan.picture import draw_plan  # noqa: PLC0415 (an optional package)
-
         with only_showing(str(picture), observer.warn):
             draw_plan(plan, surveyed, picture)
             drawn = f"\ndrawn:             {printable(picture)}"

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.configuration.run import Configuration
+from pipeline.eligibility import survey_map
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.outputs.folder import default_folder
 from pipeline.outputs.run_report import RunReport
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.run import run
-from pipeline.taking_part import survey_map
 from pipeline.units import open_collection
 from tiling.atomic import atomic_file
 from tiling.collection import MapCollection, find_map_files

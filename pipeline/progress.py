@@ -5,7 +5,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic
-from typing import Protocol
 
 from pipeline.showing import only_showing
 from tiling.foreign_text import LONGEST_LINE, printable
@@ -16,8 +15,8 @@ _LINE_EVERY = 10.0
 """Seconds between the lines of a log."""
 
 
-class Display(Protocol):
-    """Shows one stage at a time."""
+class Display:
+    """Shows one stage at a time; this one shows nothing."""
 
     def begin(self, stage: str, total: int) -> None:
         """Show a stage of `total` points."""
@@ -81,24 +80,11 @@ class StageObserver:
             call(self._display)
 
     def _hide(self, reason: str) -> None:
-        self._display = NoDisplay()
+        self._display = Display()
         logger.warning(reason)
 
 
-class NoDisplay:
-    """Shows nothing."""
-
-    def begin(self, stage: str, total: int) -> None:
-        """Show nothing."""
-
-    def update(self, done: int) -> None:
-        """Show nothing."""
-
-    def end(self) -> None:
-        """Show nothing."""
-
-
-class LogDisplay:
+class LogDisplay(Display):
     """Plain lines, now and then: for logs, cron, and pipes."""
 
     def __init__(self) -> None:
@@ -130,7 +116,7 @@ class LogDisplay:
         logger.info("%s: done in %.1f s", self._stage, monotonic() - self._begun)
 
 
-class TerminalDisplay:
+class TerminalDisplay(Display):
     """A bar with the stage, the rate and the time left."""
 
     def __init__(self) -> None:
@@ -190,7 +176,7 @@ def watching() -> Iterator[StageObserver]:
     display: TerminalDisplay | None = None
     with only_showing("the bar of progress", logger.warning):
         display = TerminalDisplay()
-    observer = StageObserver(display or NoDisplay())
+    observer = StageObserver(display or Display())
     try:
         yield observer
         observer.finish()

@@ -104,19 +104,6 @@ def remove_half_published(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def remove_earlier_results(folder: Path) -> None:
-    """Remove what the last complete run left here, and no other file; its `run.json` first."""
-    names = earlier_results(folder)
-    (folder / RUN_FILE).unlink(missing_ok=True)
-    for name in names:
-        place = folder / name
-        if place.is_file() and place.parent.resolve().is_relative_to(folder.resolve()):
-            place.unlink()
-    for parent in {name.parent for name in names} - {Path()}:
-        if (folder / parent).is_dir() and not any((folder / parent).iterdir()):
-            (folder / parent).rmdir()
-
-
 def _half_published(folder: Path) -> set[Path]:
     """Return the names of files that a killed run published, and that nobody has changed since."""
     if os.path.lexists(folder / RUN_FILE):

@@ -3,37 +3,31 @@
 The map is streamed for its coordinates, and once more against one label a point, so that its
 fields never pass through the method. A map of one tile is cleaned in memory; a larger one is cut
 into tiles, whose work is shared out to workers and kept until all of it is done.
-
-What takes long to import is imported where it is used: a small map needs no workers.
 """
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dynahull.errors import MissingClassificationError
-from pipeline.cluster.choice import prepare_workers
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
-from pipeline.outputs.folder import (
-    CONFIGURATION_FILE,
-    LABELS_FILE,
-    REPORT_FILE,
-    RUN_FILE,
-    OutputNames,
-    default_folder,
-    output_folder,
-)
+from pipeline.in_memory import clean_in_memory
+from pipeline.in_tiles import clean_in_tiles
+from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
+from pipeline.outputs.writing import write_labels
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.progress import StageObserver
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views, render_page
 from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work
 from pipeline.work.map_state import unchanged
+from pipeline.work.opening import open_job
 from tiling.collection import MapCollection, content_hash, find_map_files
 
 
@@ -96,36 +90,19 @@ def run(
         if one_tile:
             size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
-        else:
-            prepare_workers(configuration)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
         observer.advance(collection.point_count)
         observer.finish()
         work = folder / WORK_FOLDER
         if one_tile:
-            from pipeline.in_memory import clean_in_memory  # noqa: PLC0415
-
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
         else:
-            from pipeline.in_tiles import clean_in_tiles  # noqa: PLC0415
-            from pipeline.work.opening import open_job  # noqa: PLC0415
-
             job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
         if configuration.output.labels:
-            from pipeline.outputs.labels_table import write_labels  # noqa: PLC0415
-
-            assert cleaned.cluster is not None and cleaned.density is not None  # asked for
-            assert cleaned.score is not None
-            write_labels(
-                cleaned.labels,
-                cleaned.cluster,
-                cleaned.density,
-                cleaned.score,
-                staging / LABELS_FILE,
-            )
+            write_labels(cleaned, staging / LABELS_FILE)
         observer.finish()
         report = RunReport.of(
             folder,

@@ -1,13 +1,16 @@
 """What only shows results never fails a run: reports, pictures, pages, bars; and names in them."""
 
 import logging
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from pipeline.errors import MissingPackageError, OutputError
 from tiling.foreign_text import escaped as printable
 
-__all__ = ["is_text", "only_showing", "printable"]
+__all__ = ["check_named_file", "drawing_library", "is_text", "only_showing", "printable"]
 
 logger = logging.getLogger("dynahull")
 
@@ -41,3 +44,53 @@ def is_text(name: str | Path) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> None:
+    """Refuse, before any work, a file that cannot be written or that is read.
+
+    It must be named by its suffix, which no map has, so that no map is ever written over.
+
+    Parameters
+    ----------
+    path : Path
+    suffix : str
+        With the dot.
+    inputs : iterable of Path
+        What is read, by any name.
+
+    Raises
+    ------
+    OutputError
+    """
+    folder = path.absolute().parent
+    if not is_text(path):
+        raise OutputError(f"{printable(path)}: expected a name that is UTF-8")
+    if not folder.is_dir():
+        raise OutputError(f"{path}: expected a folder to write in, found none")
+    if not os.access(folder, os.W_OK):
+        raise OutputError(f"{path}: its folder cannot be written into")
+    if path.suffix.lower() != suffix:
+        raise OutputError(f"{path}: expected a name that ends in {suffix}")
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: expected a file, found something else")
+    if path.exists() and any(each.exists() and each.samefile(path) for each in inputs):
+        raise OutputError(f"{path}: this is what is read; choose another name")
+
+
+def drawing_library() -> Any:
+    """Import Matplotlib.
+
+    Raises
+    ------
+    MissingPackageError
+        When it is not installed.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 (optional, and seconds of import time)
+        import matplotlib.figure  # noqa: PLC0415
+    except (ImportError, OSError, RuntimeError) as error:
+        raise MissingPackageError(
+            f"--picture needs Matplotlib: pip install 'dynahull-pipeline[plot]' ({error})"
+        ) from error
+    return mpl

@@ -9,8 +9,9 @@ from typing import Any
 from pipeline.cluster.record import CLUSTER_FOLDER, submitted_job
 from pipeline.configuration.quantities import in_time
 from pipeline.errors import WorkError
-from pipeline.outputs.folder import STAGING, folder_is_locked
-from pipeline.tiles.sealed import read_sealed
+from pipeline.outputs.folder_lock import folder_is_locked
+from pipeline.replacing import STAGING
+from pipeline.work.files import read_if_whole
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work, stages_begun
 
 
@@ -30,7 +31,7 @@ def status_text(folder: Path) -> str:
             return f"{folder}: finished"
         raise WorkError(f"{folder}: expected the output folder of a run, found no work in it")
     lines = [f"{folder}: {'running' if folder_is_locked(folder) else 'not running'}"]
-    state = _state(work)
+    state = read_if_whole(work / "state.json")
     for stage, done, failed in stages_begun(work):
         if state is None or stage != state["stage"]:
             trouble = f", {failed} failed" if failed else ""
@@ -38,13 +39,6 @@ def status_text(folder: Path) -> str:
     if state is not None:
         lines += _present_stage(state)
     return "\n".join(lines)
-
-
-def _state(work: Path) -> dict[str, Any] | None:
-    try:
-        return read_sealed(work / "state.json")
-    except WorkError:
-        return None
 
 
 def _present_stage(state: dict[str, Any]) -> list[str]:

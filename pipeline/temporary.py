@@ -7,15 +7,11 @@ it ends: what a killed one left is known by that, and removed by whoever comes n
 import fcntl
 import os
 import shutil
-import stat
 import tempfile
 from contextlib import suppress
 from functools import lru_cache
 from multiprocessing.util import Finalize
 from pathlib import Path
-
-_SEMAPHORES = Path("/dev/shm")
-"""Where Linux keeps semaphores that have a name, as those of multiprocessing."""
 
 _LONGEST = 107 - len("/pymp-12345678/listener-12345678")
 """Bytes of a folder in which an address of multiprocessing is not too long for the system."""
@@ -53,7 +49,7 @@ def _folder_of(process: int, place: Path) -> Path:
             break
         os.close(handle)
     # After multiprocessing has removed what it has in there, for which it has -100.
-    Finalize(None, _remove, (folder,), exitpriority=-200)
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=-200)
     return folder
 
 
@@ -81,21 +77,11 @@ def _remove_if_left(folder: Path) -> None:
         if os.fstat(handle).st_uid != os.getuid():
             return
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _remove(folder)
+        shutil.rmtree(folder, ignore_errors=True)
     except OSError:  # its process is at work, or nothing can be known of it
         return
     finally:
         os.close(handle)
-
-
-def _remove(folder: Path) -> None:
-    """Remove a folder, and the semaphores that are called after it."""
-    with suppress(OSError):
-        for path in _SEMAPHORES.glob(f"sem.{folder.name}-*"):
-            status = path.lstat()
-            if status.st_uid == os.getuid() and stat.S_ISREG(status.st_mode):
-                path.unlink(missing_ok=True)
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _prefix() -> str:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.errors import MissingViewerError, OutputError
-from pipeline.named_file import check_named_file
 from pipeline.outputs.reading import ResultPoints, read_result
+from pipeline.showing import check_named_file
 from pipeline.temporary import temporary_folder
 from tiling.atomic import atomic_file
 

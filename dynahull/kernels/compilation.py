@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from dynahull.compilation import compiling, is_compiled, numba_cache
+from dynahull.compilation import compiling, numba_cache
 from dynahull.kernels import closest, solve
 from dynahull.kernels.growth import make_growth
 from dynahull.kernels.solve import Results, make_room
@@ -30,12 +30,6 @@ def kernels() -> Kernels:
     """Return the compiled kernels, compiling them if nobody has on this kind of machine."""
     with _ONE_AT_A_TIME:
         return _kernels()
-
-
-def load_kernels() -> None:
-    """Load the kernels if they are compiled already; otherwise leave that to who needs them."""
-    if is_compiled(Path(__file__).parent):
-        kernels()
 
 
 @lru_cache(maxsize=1)

@@ -4,6 +4,7 @@ So that `status` and `cancel` find the jobs by the folder, from any machine that
 """
 
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,6 +51,15 @@ class RecordedJobs:
     def batch_system(self) -> BatchSystem:
         """The batch system that has them."""
         return batch_system(self.system)
+
+
+def check_folder(output: Path) -> None:
+    """Raise where a job script could not name the folder."""
+    if re.search(r"[\s'\"%\\]", str(output.resolve())):
+        raise ClusterError(
+            f"{output}: expected a path without blanks, quotes, % and \\, which job scripts cannot "
+            "name; choose another -o"
+        )
 
 
 def cluster_folder(output: Path) -> Path:

@@ -1,27 +1,34 @@
-"""A whole run as a job of a batch system: its script, and its submission."""
+"""A whole run as a job of a batch system: its script, its submission, and how it is cancelled."""
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from time import monotonic, sleep
 
 from pipeline.cluster.batch_systems import BatchSystem, JobDescription, batch_system
 from pipeline.cluster.record import (
+    RecordedJobs,
+    check_folder,
     cluster_folder,
     logs_folder,
     record_submitted,
+    record_workers,
     submitted_job,
     worker_jobs,
 )
-from pipeline.cluster.workers import check_folder
 from pipeline.configuration.cluster import BATCH_SYSTEMS, ClusterParameters
 from pipeline.configuration.run import Configuration
-from pipeline.errors import ConfigurationError, OutputError
-from pipeline.outputs.folder import default_folder, folder_is_locked
+from pipeline.errors import ConfigurationError, OutputError, WorkError
+from pipeline.outputs.folder import default_folder
+from pipeline.outputs.folder_lock import folder_is_locked
 from pipeline.replacing import refuse_own_folders
 from tiling.atomic import atomic_file
 from tiling.collection import find_map_files
 
 CONFIGURATION_FILE = "config.yaml"
+
+_PATIENCE = 60.0
+"""Seconds that a cancelled run is given to leave in order, its workers cancelled by itself."""
 
 
 def run_script(
@@ -171,3 +178,55 @@ def _of_the_run(configuration: Configuration) -> Configuration:
             share = configuration.cluster.run.memory * 9 // 10
             changes["memory"] = share // configuration.cluster.run.cores
     return configuration.model_copy(update={"execution": execution.model_copy(update=changes)})
+
+
+def cancel_run(folder: Path) -> str:
+    """Cancel the job of a run and those of its workers; what is done is kept.
+
+    Returns
+    -------
+    str
+        What was cancelled.
+
+    Raises
+    ------
+    WorkError
+        When there is nothing to cancel.
+    ClusterError
+        When the batch system does not answer.
+    """
+    submitted = submitted_job(folder)
+    if submitted is None and worker_jobs(folder) is None:
+        raise WorkError(f"{folder}: nothing to cancel: no run was submitted for this folder")
+    cancelled = [] if submitted is None else _cancel(submitted)
+    if submitted is None and folder_is_locked(folder):
+        raise WorkError(
+            f"{folder}: the run was not submitted; stop it where it was started, its workers follow"
+        )
+    if cancelled and submitted is not None:
+        _wait_for(submitted)
+    workers = worker_jobs(folder)
+    left = [] if workers is None else _cancel(workers)
+    if workers is not None:
+        record_workers(folder, workers.system, [])
+    if not cancelled and not left:
+        assert submitted is not None or workers is not None
+        recorded = submitted or workers
+        jobs = "" if recorded is None else f"{recorded.system} job {', '.join(recorded.jobs)}"
+        raise WorkError(f"{folder}: nothing to cancel: {jobs} has ended")
+    told = [f"job {job}" for job in cancelled]
+    told += [f"{len(left)} jobs of workers"] if left else []
+    return f"cancelled: {' and '.join(told)}; what is done is kept, and the same run goes on"
+
+
+def _cancel(recorded: RecordedJobs) -> list[str]:
+    """Cancel the jobs that wait or run, and return them."""
+    alive = [job for job, state in recorded.states().items() if state.alive]
+    recorded.batch_system.cancel_jobs(alive)
+    return alive
+
+
+def _wait_for(recorded: RecordedJobs) -> None:
+    deadline = monotonic() + _PATIENCE
+    while monotonic() < deadline and any(state.alive for state in recorded.states().values()):
+        sleep(1)

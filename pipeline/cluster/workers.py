@@ -1,28 +1,32 @@
 """Executors on a cluster: workers that a batch system starts, or those of a running scheduler."""
 
 import logging
-import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pipeline.cluster.attendance import Attendance
+import dask
+from distributed import Client, Security
+
 from pipeline.cluster.batch_systems import (
     BatchSystem,
     JobDescription,
     batch_system,
     cluster_class,
 )
-from pipeline.cluster.record import cluster_folder, logs_folder, record_workers
-from pipeline.cluster.security import cluster_security, scheduler_security
-from pipeline.configuration.cluster import ClusterParameters
+from pipeline.cluster.record import check_folder, cluster_folder, logs_folder, record_workers
+from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
+from pipeline.cluster.supervisor import Supervisor
+from pipeline.configuration.cluster import ClusterParameters, TLSParameters
+from pipeline.configuration.quantities import in_home
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ClusterError, ConfigurationError
 from pipeline.workers.executors import Executor, OnDask, Outcome, Task
-from pipeline.workers.fork_server import ONE_THREAD
+from pipeline.workers.local_dask import ONE_THREAD
 
 logger = logging.getLogger("dynahull")
 
@@ -30,12 +34,6 @@ _ALLOWED_FAILURES = 10
 """Workers that may be lost with a task before it is given up; rarely is it the task's fault."""
 
 _LOOPBACK = "127.0.0.1:0"
-
-_SECRETS = ("_job_ca_file", "_job_cert", "_job_key")
-"""Where dask-jobqueue's cluster has the temporary files of the keys that were made for it."""
-
-_SECRET_FILES = ".dask-jobqueue.worker.*"
-"""How it calls them."""
 
 JOB_ENVIRONMENT = {
     **ONE_THREAD,
@@ -54,14 +52,14 @@ class OnCluster(OnDask):
     Parameters
     ----------
     client : distributed.Client
-    attendance : Attendance
+    supervisor : Supervisor
     workers : int
         The number that is kept.
     """
 
-    def __init__(self, client: Any, attendance: Attendance, workers: int) -> None:
+    def __init__(self, client: Any, supervisor: Supervisor, workers: int) -> None:
         super().__init__(client)
-        self._attendance, self._kept = attendance, workers
+        self._supervisor, self._kept = supervisor, workers
 
     @property
     def workers(self) -> int:
@@ -71,35 +69,8 @@ class OnCluster(OnDask):
     def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
         """Do the tasks; raise a `ClusterError` where no workers come any more."""
         for number, outcome in super().run(task, folder, numbers):
-            self._attendance.check()
+            self._supervisor.check()
             yield number, outcome
-
-
-@contextmanager
-def workers_elsewhere(
-    configuration: Configuration, work: Path, maps: Sequence[Path]
-) -> Iterator[Executor]:
-    """Open workers that are not processes of this run: of a running scheduler, or a batch system.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    work : Path
-        Work folder of the run, in its output folder.
-    maps : sequence of Path
-        The map's files, which workers read.
-
-    Raises
-    ------
-    PipelineError
-        When there are no workers to be had, or they do not share what they must.
-    """
-    if configuration.execution.scheduler is not None:
-        with running_scheduler(configuration, work, maps) as executor:
-            yield executor
-    else:
-        with cluster_workers(configuration, work, maps) as executor:
-            yield executor
 
 
 @contextmanager
@@ -112,8 +83,10 @@ def cluster_workers(
     ----------
     configuration : Configuration
         Its `execution.cluster` names the batch system.
-    work, maps
-        As of `workers_elsewhere`.
+    work : Path
+        Work folder of the run, in its output folder.
+    maps : sequence of Path
+        The map's files, which workers read.
 
     Raises
     ------
@@ -125,16 +98,11 @@ def cluster_workers(
     parameters, output = configuration.cluster, work.parent
     system = batch_system(configuration.execution.cluster)
     check_ready(system, parameters, output)
-    import dask  # noqa: PLC0415 (only where it is used)
-    from distributed import Client  # noqa: PLC0415
-
-    from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck  # noqa: PLC0415
-
     settings = {
         "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
         "distributed.admin.log-length": 1_000,
         "distributed.comm.timeouts.connect": "60s",
-        # Who is lost is decided by Attendance.
+        # Who is lost is decided by Supervisor.
         "distributed.deploy.lost-worker-timeout": "3650 days",
     }
     with (
@@ -145,15 +113,15 @@ def cluster_workers(
     ):
         if parameters.dashboard is not None:
             logger.info("dashboard: %s", cluster.dashboard_link)
-        attendance = Attendance(cluster, client, system, parameters, output)
-        client.subscribe_topic(TOPIC, attendance.refused)
+        supervisor = Supervisor(cluster, client, system, parameters, output)
+        client.subscribe_topic(TOPIC, supervisor.refused)
         shared = SharedFiles.of(work, maps)
         try:
             client.register_plugin(SharingCheck(shared))
-            attendance.begin()
-            yield OnCluster(client, attendance, parameters.workers)
+            supervisor.begin()
+            yield OnCluster(client, supervisor, parameters.workers)
         finally:
-            attendance.end()
+            supervisor.end()
             shared.remove()
     record_workers(output, system.name, [])
 
@@ -169,10 +137,6 @@ def running_scheduler(
     ClusterError
         When one of its workers does not share what it must.
     """
-    from distributed import Client  # noqa: PLC0415
-
-    from pipeline.cluster.sharing import SharedFiles, check_running_workers  # noqa: PLC0415
-
     address = str(configuration.execution.scheduler)
     security = scheduler_security(configuration.cluster.tls, address)
     with Client(address, security=security, set_as_default=False) as client:
@@ -203,22 +167,10 @@ def check_ready(system: BatchSystem, parameters: ClusterParameters, output: Path
     if parameters.workers == 0:
         raise ConfigurationError("cluster.workers: 0 is for `submit`; a run needs one at least")
     check_folder(output)
-    if parameters.dashboard is not None:
-        from importlib.util import find_spec  # noqa: PLC0415 (rarely used)
-
-        if find_spec("bokeh") is None:
-            raise ConfigurationError("cluster.dashboard: the dashboard needs the package bokeh")
+    if parameters.dashboard is not None and find_spec("bokeh") is None:
+        raise ConfigurationError("cluster.dashboard: the dashboard needs the package bokeh")
     cluster_class(system)
     system.require()
-
-
-def check_folder(output: Path) -> None:
-    """Raise where a job script could not name the folder."""
-    if re.search(r"[\s'\"%\\]", str(output.resolve())):
-        raise ClusterError(
-            f"{output}: expected a path without blanks, quotes, % and \\, which job scripts cannot "
-            "name; choose another -o"
-        )
 
 
 @contextmanager
@@ -227,27 +179,83 @@ def _cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -
     job = worker_job(parameters, output)
     shared = cluster_folder(output)
     shared.mkdir(parents=True, exist_ok=True)
-    for left in shared.glob(_SECRET_FILES):  # by a run that was killed: no other is at work here
-        left.unlink(missing_ok=True)
+    keys = {name: shared / f"tls-{name}.pem" for name in ("ca_file", "certificate", "key")}
     options: dict[str, Any] = {"dashboard_address": parameters.dashboard or _LOOPBACK}
     if parameters.scheduler_interface is not None:
         options["interface"] = parameters.scheduler_interface
-    cluster = cluster_class(system)(
-        n_workers=0,
-        security=cluster_security(parameters.tls),
-        shared_temp_directory=str(shared.resolve()),
-        scheduler_options=options,
-        silence_logs=50,
-        **worker_keywords(system, parameters, job),
-    )
     try:
-        with cluster:
+        with cluster_class(system)(
+            n_workers=0,
+            security=cluster_security(parameters.tls, keys),
+            scheduler_options=options,
+            silence_logs=50,
+            **worker_keywords(system, parameters, job),
+        ) as cluster:
             yield cluster
     finally:
-        # Keys that were made for this run lie in files that go with the object, whenever that is.
-        for name in _SECRETS:
-            if hasattr(cluster, name):
-                getattr(cluster, name).close()
+        for path in keys.values():
+            path.unlink(missing_ok=True)
+
+
+def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security | None:
+    """Return the keys of a cluster that this run starts, None without TLS.
+
+    Parameters
+    ----------
+    tls : TLSParameters
+    keys : mapping of str to Path
+        Where they are to lie, for jobs to find them, if none are given.
+
+    Raises
+    ------
+    ConfigurationError
+        When a file is not there.
+    """
+    if tls.ca_file is not None:
+        return _of_files(tls)
+    if not tls.enabled:
+        return None
+    made = Security.temporary()
+    texts = (made.tls_ca_file, made.tls_worker_cert, made.tls_worker_key)
+    for path, text in zip(keys.values(), texts, strict=True):
+        path.unlink(missing_ok=True)
+        path.touch(0o600)
+        path.write_text(text, encoding="ascii")
+    return _of_files(TLSParameters(**{name: str(path) for name, path in keys.items()}))
+
+
+def scheduler_security(tls: TLSParameters, address: str) -> Security | None:
+    """Return the keys of a scheduler that is running, None without TLS.
+
+    Raises
+    ------
+    ConfigurationError
+        When files are wanted and not given, or not there.
+    """
+    if tls.ca_file is not None:
+        return _of_files(tls)
+    if tls.enabled or address.startswith("tls://"):
+        raise ConfigurationError(
+            f"{address}: expected cluster.tls.ca_file, cluster.tls.certificate and "
+            "cluster.tls.key, as the scheduler was given them, found none"
+        )
+    return None
+
+
+def _of_files(tls: TLSParameters) -> Security:
+    files = {}
+    for name in ("ca_file", "certificate", "key"):
+        path = in_home(getattr(tls, name)).resolve()
+        if not path.is_file():
+            raise ConfigurationError(f"cluster.tls.{name}: {path}: expected a file, found none")
+        files[name] = str(path)
+    roles = ("client", "scheduler", "worker")
+    return Security(
+        require_encryption=True,
+        tls_ca_file=files["ca_file"],
+        **{f"tls_{role}_cert": files["certificate"] for role in roles},
+        **{f"tls_{role}_key": files["key"] for role in roles},
+    )
 
 
 def worker_job(parameters: ClusterParameters, output: Path) -> JobDescription:

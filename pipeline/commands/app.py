@@ -10,11 +10,9 @@ from typing import Annotated, NoReturn, TextIO
 
 import typer
 
-from pipeline.commands.cluster import cancel_command, submit_command
 from pipeline.commands.evaluate import evaluate_command
 from pipeline.commands.nightly import nightly_command
-from pipeline.commands.preview import preview_command
-from pipeline.commands.run import run_command
+from pipeline.commands.run import cancel_command, preview_command, run_command, submit_command
 from pipeline.commands.tiles import (
     clean_command,
     plan_command,

@@ -1,4 +1,4 @@
-"""`run`: clean a map."""
+"""The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -58,3 +58,115 @@ def run_command(
     with watching() as observer:
         report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
+
+
+def submit_command(
+    maps: Maps,
+    output: Output = None,
+    config: ConfigurationSource = None,
+    settings: Settings = None,
+    cluster: ClusterName = None,
+    tls: TLS = False,
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Start over, whatever an earlier run left half done."),
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the script of the job, and submit nothing.")
+    ] = False,
+) -> None:
+    """Hand a whole run over to a batch system; `status` and `cancel` follow it by its folder."""
+    from pipeline.cluster.submitting import run_script, submit_run  # noqa: PLC0415
+    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+
+    if output == "":
+        raise ConfigurationError("-o: expected a folder, found nothing")
+    wanted = [*(settings or []), *worker_settings(None, cluster, tls)]
+    configuration = load_configuration(config, wanted)
+    place = Path(output) if output else None
+    if dry_run:
+        typer.echo(run_script(maps, place, configuration, fresh=fresh), nl=False)
+        return
+    job, folder = submit_run(maps, place, configuration, fresh=fresh)
+    system = configuration.execution.cluster
+    typer.echo(f"submitted: {system} job {job}; follow it with dynahull-pipeline status {folder}")
+
+
+def cancel_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+) -> None:
+    """Cancel a run that was submitted, and the jobs of its workers; what is done is kept."""
+    from pipeline.cluster.submitting import cancel_run  # noqa: PLC0415
+
+    typer.echo(cancel_run(folder))
+
+
+def preview_command(
+    maps: Maps,
+    output: Annotated[
+        str | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder. [default: <map>_preview]"),
+    ] = None,
+    config: ConfigurationSource = None,
+    settings: Settings = None,
+    window: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="X0 Y0 X1 Y1", help="Clean this window, metres."),
+    ] = None,
+    centre: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="X Y", help="Clean a square window around this place."),
+    ] = None,
+    size: Annotated[
+        float, typer.Option(metavar="M", help="Side of the window around --centre, metres.")
+    ] = 20.0,
+    thin: Annotated[
+        bool, typer.Option("--thin", help="Clean the whole map, thinned, instead of a window.")
+    ] = False,
+    points: Annotated[
+        int, typer.Option(metavar="N", min=1_000, help="Points to clean, at most.")
+    ] = 500_000,
+    open_page: Annotated[
+        bool, typer.Option("--open", help="Open the report in the browser.")
+    ] = False,
+) -> None:
+    """Clean a small part of a map in seconds, and show the report: to choose parameters by.
+
+    The part is a typical place of the map, unless a window is given; a small map is cleaned whole.
+    """
+    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+    from pipeline.preview import WHOLE, Window, preview  # noqa: PLC0415
+    from pipeline.progress import watching  # noqa: PLC0415
+    from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
+
+    if (window is not None) + (centre is not None) + thin > 1:
+        raise ConfigurationError("expected one of --window, --centre and --thin, found several")
+    if output == "":
+        raise ConfigurationError("-o: expected a folder, found nothing")
+    chosen = WHOLE if thin else None
+    if window is not None:
+        chosen = Window(window[:2], window[2:])
+    elif centre is not None:
+        (x, y), half = centre, size / 2
+        chosen = Window((x - half, y - half), (x + half, y + half))
+    if chosen is not None and not (
+        chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]
+    ):
+        raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
+    configuration = load_configuration(config, settings or [])
+    with watching() as observer:
+        report = preview(
+            maps,
+            Path(output) if output else None,
+            configuration,
+            observer,
+            points=points,
+            window=chosen,
+        )
+    page = (Path(report.output) / REPORT_FILE).resolve()
+    typer.echo(report.summary())
+    typer.echo(f"report: {page}")
+    if open_page:
+        typer.launch(page.as_uri())

@@ -1,9 +1,12 @@
-"""Values of the configuration that people write with a unit: sizes and durations."""
+"""Values of the configuration as people write them: sizes and durations with a unit, and `~`."""
 
 import re
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
+
+from pipeline.errors import ConfigurationError
 
 _UNITS = {
     "": 1, "b": 1,
@@ -72,3 +75,19 @@ def in_time(seconds: float) -> str:
     if seconds < 7200:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"
+
+
+def in_home(path: str | Path) -> Path:
+    """Return a path with `~` replaced.
+
+    Raises
+    ------
+    ConfigurationError
+        When it begins with `~`, and there is no such home.
+    """
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise ConfigurationError(
+            f"{path}: expected the home folder of a user, found none (HOME is not set)"
+        ) from None

@@ -16,8 +16,8 @@ from pipeline.evaluation.labels import (
     read_labels_of_map,
 )
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
 from pipeline.outputs.reading import label_batches, table_batches
+from pipeline.replacing import LABELS_FILE, RUN_FILE
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.parquet import row_count

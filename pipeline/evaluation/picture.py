@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.progress import Observer
-from pipeline.drawing import drawing_library
 from pipeline.errors import EvaluationError, OutputError
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.tiled_cloud import TiledCloud
+from pipeline.showing import drawing_library
 from tiling.atomic import atomic_file
 
 MOST_PIXELS, LEAST_PIXELS = 1200, 300

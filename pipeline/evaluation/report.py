@@ -10,7 +10,6 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, SkipValidation
 from rich.table import Table
 
-from pipeline.drawing import drawing_library
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy
 from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics
@@ -19,10 +18,10 @@ from pipeline.evaluation.evaluate import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs, find_inputs
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.preservation import Preservation
-from pipeline.named_file import check_named_file
-from pipeline.outputs.folder import RUN_FILE
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching
+from pipeline.replacing import RUN_FILE
+from pipeline.showing import check_named_file, drawing_library
 from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 

@@ -1,12 +1,13 @@
 """What begins the night: a line for cron, or a service and a timer for systemd."""
 
+import getpass
+import os
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.errors import ConfigurationError
-from pipeline.home import user_name
 from pipeline.nightly.settings import NightlySettings
 from pipeline.nightly.summary import INDEX_FILE
 
@@ -42,6 +43,14 @@ Persistent=true
 [Install]
 WantedBy=timers.target
 """
+
+
+def user_name() -> str:
+    """Return the name of the user, or the number of one without a name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
 
 
 def nightly_call(source: Path, given: Sequence[str] = ()) -> list[str]:

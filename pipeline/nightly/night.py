@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from pipeline.errors import DiskSpaceError
+from pipeline.errors import DiskSpaceError, NightLockedError
 from pipeline.nightly.clock import Clock, NightEnd
 from pipeline.nightly.inventory import (
     Problem,
@@ -40,8 +40,7 @@ from pipeline.nightly.summary import (
     write_index,
 )
 from pipeline.nightly.triage import Candidate, in_turn, verdict
-from pipeline.outputs.folder import folder_is_locked
-from pipeline.outputs.folder_lock import night_lock
+from pipeline.outputs.folder_lock import folder_is_locked, locked_folder
 from pipeline.plan.resources import check_space
 from pipeline.showing import only_showing, printable
 from tiling.output_file import writing_only_into
@@ -93,7 +92,7 @@ def clean_nightly(
     """
     state = settings.output / STATE_FOLDER
     state.mkdir(parents=True, exist_ok=True)
-    with night_lock(state), writing_only_into(settings.output):
+    with locked_folder(state, "night", NightLockedError), writing_only_into(settings.output):
         refuse_to_replace(settings.output)
         night = _Night(settings, cleaner, clock, end, Journal(state))
         if retry:

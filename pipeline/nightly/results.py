@@ -20,7 +20,8 @@ from typing import Any
 
 from pipeline.configuration.run import Configuration
 from pipeline.nightly.settings import Retention
-from pipeline.outputs.folder import REPORT_FILE, RUN_FILE, folder_is_locked
+from pipeline.outputs.folder_lock import folder_is_locked
+from pipeline.replacing import REPORT_FILE, RUN_FILE
 from pipeline.work.folder import WORK_FOLDER, remove_work, stages_begun
 
 logger = logging.getLogger("dynahull")

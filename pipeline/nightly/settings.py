@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from pipeline.configuration.quantities import Seconds, Size
+from pipeline.configuration.quantities import Seconds, Size, in_home
 from pipeline.configuration.run import (
     Configuration,
     load_configuration,
@@ -16,7 +16,6 @@ from pipeline.configuration.run import (
     ready_configurations,
 )
 from pipeline.errors import ConfigurationError
-from pipeline.home import in_home
 from pipeline.showing import is_text, printable
 
 

@@ -6,16 +6,14 @@ all are complete. `run.json` goes first and comes back last: a folder that has o
 
 import os
 import shutil
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pipeline.errors import OutputError
-from pipeline.outputs.folder_lock import give_lock, take_lock
-from pipeline.renaming import renaming_all
+from pipeline.outputs.folder_lock import locked_folder
 from pipeline.replacing import (
     CONFIGURATION_FILE,
     LABELS_FILE,
@@ -29,19 +27,6 @@ from pipeline.replacing import (
 )
 from tiling.formats import MapReader
 from tiling.output_file import create_file, sync_path, writing_only_into
-
-__all__ = [
-    "CONFIGURATION_FILE",
-    "LABELS_FILE",
-    "REPORT_FILE",
-    "RUN_FILE",
-    "STAGING",
-    "OutputNames",
-    "default_folder",
-    "folder_is_locked",
-    "locked_folder",
-    "output_folder",
-]
 
 _ASIDE = "earlier"
 """Within it: results of an earlier run, until all of this one's are in their place."""
@@ -176,38 +161,6 @@ def _try_names(staging: Path, results: Sequence[Path]) -> None:
     shutil.rmtree(trial)
 
 
-def folder_is_locked(folder: Path) -> bool:
-    """Tell whether a run is writing into a folder, on this machine or, over NFS, on any."""
-    handle = take_lock(folder)
-    if handle is None:
-        return True
-    give_lock(folder, handle)
-    return False
-
-
-@contextmanager
-def locked_folder(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock, which the system frees however the process ends.
-
-    Raises
-    ------
-    OutputError
-        When another run holds it.
-    """
-    handle = take_lock(folder)
-    # Whoever asks whether the folder is locked holds the lock for a moment.
-    for _ in range(2):
-        if handle is None:
-            time.sleep(0.1)
-            handle = take_lock(folder)
-    if handle is None:
-        raise OutputError(f"{folder}: another run is writing into this folder")
-    try:
-        yield
-    finally:
-        give_lock(folder, handle)
-
-
 def _publish(staging: Path, folder: Path) -> None:
     """Rename all files into place, `run.json` last; none, where one cannot be renamed."""
     files = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
@@ -218,7 +171,7 @@ def _publish(staging: Path, folder: Path) -> None:
     sync_path(staging)
     earlier = [name for name in earlier_results(folder) if _is_within(folder, name)]
     earlier.sort(key=lambda name: name != Path(RUN_FILE))
-    with renaming_all() as rename:
+    with _renaming_all() as rename:
         for name in earlier:
             rename(folder / name, staging / _ASIDE / name)
         (folder / RUN_FILE).unlink(missing_ok=True)
@@ -230,6 +183,31 @@ def _publish(staging: Path, folder: Path) -> None:
     for parent in {(folder / name).parent for name in earlier} - {folder}:
         if not any(parent.iterdir()):
             parent.rmdir()
+
+
+@contextmanager
+def _renaming_all() -> Iterator[Callable[[Path, Path], None]]:
+    """Give what renames files; where anything fails in the block, the last one is taken back first.
+
+    Yields
+    ------
+    callable
+        Takes the old path and the new one, whose folder is made.
+    """
+    done: list[tuple[Path, Path]] = []
+
+    def rename(old: Path, new: Path) -> None:
+        new.parent.mkdir(parents=True, exist_ok=True)
+        old.replace(new)
+        done.append((old, new))
+
+    try:
+        yield rename
+    except BaseException:
+        for old, new in reversed(done):
+            with suppress(OSError):
+                new.replace(old)
+        raise
 
 
 def _is_within(folder: Path, name: Path) -> bool:

@@ -1,4 +1,4 @@
-"""One run at a time in a folder, by a lock that the system frees however the process ends.
+"""One run or night at a time in a folder: a lock that the system frees however a process ends.
 
 The folder itself is locked where that can be done. On NFS it cannot, and a file in it is locked,
 which keeps out runs on other machines as well; it is there only while the lock is held.
@@ -8,32 +8,62 @@ import errno
 import fcntl
 import logging
 import os
-import socket
 import stat
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
-from pipeline.errors import NightLockedError
+from pipeline.errors import OutputError, PipelineError
 
 LOCK_FILE = ".dynahull-lock"
 
 logger = logging.getLogger("dynahull")
 
-NO_LOCK = (errno.EBADF, errno.EINVAL, errno.EISDIR, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
+_NO_LOCK = (errno.EBADF, errno.EINVAL, errno.EISDIR, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
 """What file systems answer that have no locks on folders, or none at all."""
 
 
-def take_lock(folder: Path) -> int | None:
-    """Take the lock of a folder, None if another run holds it.
+def folder_is_locked(folder: Path) -> bool:
+    """Tell whether a run is writing into a folder, on this machine or, over NFS, on any."""
+    handle = _take_lock(folder)
+    if handle is None:
+        return True
+    _give_lock(folder, handle)
+    return False
 
-    Returns
-    -------
-    int or None
-        What `give_lock` gives back.
+
+@contextmanager
+def locked_folder(
+    folder: Path, who: str = "run", error: type[PipelineError] = OutputError
+) -> Iterator[None]:
+    """Hold the folder's lock.
+
+    Parameters
+    ----------
+    folder : Path
+    who : str
+        What holds it, in words.
+    error : type of PipelineError
+        Raised when another one does.
     """
+    handle = _take_lock(folder)
+    # Whoever asks whether the folder is locked holds the lock for a moment.
+    for _ in range(2):
+        if handle is None:
+            time.sleep(0.1)
+            handle = _take_lock(folder)
+    if handle is None:
+        raise error(f"{folder}: another {who} is writing into this folder")
+    try:
+        yield
+    finally:
+        _give_lock(folder, handle)
+
+
+def _take_lock(folder: Path) -> int | None:
+    """Take the lock of a folder, None if another run holds it; `_give_lock` gives it back."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -41,13 +71,13 @@ def take_lock(folder: Path) -> int | None:
         os.close(handle)
         if isinstance(error, BlockingIOError):
             return None
-        if error.errno not in NO_LOCK:
+        if error.errno not in _NO_LOCK:
             raise
         return _take_lock_of_file(folder)
     return handle
 
 
-def give_lock(folder: Path, handle: int) -> None:
+def _give_lock(folder: Path, handle: int) -> None:
     """Give a lock back."""
     if not stat.S_ISDIR(os.fstat(handle).st_mode):
         (folder / LOCK_FILE).unlink(missing_ok=True)
@@ -70,7 +100,7 @@ def _take_lock_of_file(folder: Path) -> int | None:
             if isinstance(error, BlockingIOError):
                 os.close(handle)
                 return None
-            if error.errno not in NO_LOCK:
+            if error.errno not in _NO_LOCK:
                 os.close(handle)
                 raise
             warn_of_no_locks(folder)
@@ -81,47 +111,4 @@ def _take_lock_of_file(folder: Path) -> int | None:
                 return handle
         except FileNotFoundError:
             pass
-        os.close(handle)
-
-
-LOCK_FILE = "lock"
-
-
-@contextmanager
-def night_lock(folder: Path) -> Iterator[None]:
-    """Hold the lock, which the system frees however the process ends.
-
-    The lock is the kernel's and not the file: a file that a dead process left locks nothing, and
-    what is written in it, for people, decides nothing, so that a number of a process that was
-    given out again does no harm. The file stays, since removing it would let two hold it.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the lock file lies.
-
-    Raises
-    ------
-    NightLockedError
-        When another process holds it.
-    """
-    path = folder / LOCK_FILE
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.pread(handle, 200, 0).decode(errors="replace").strip() or "another process"
-            raise NightLockedError(f"{path}: another night holds the lock ({holder})") from None
-        except OSError as error:
-            if error.errno not in NO_LOCK:
-                raise
-            warn_of_no_locks(folder)
-        begun = datetime.now(UTC).isoformat(timespec="seconds")
-        os.ftruncate(handle, 0)
-        os.pwrite(
-            handle, f"process {os.getpid()} on {socket.gethostname()} since {begun}\n".encode(), 0
-        )
-        yield
-    finally:
         os.close(handle)

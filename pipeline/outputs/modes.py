@@ -1,6 +1,5 @@
 """What is written of each file of the map: what stays and what goes, or all of it with labels."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,30 +59,7 @@ class OutputFormat(Protocol):
         """Return a writer of an output in parts."""
 
 
-class OutputMode(ABC):
-    """How the points of one file of the map go into its outputs.
-
-    Attributes
-    ----------
-    reader : MapReader
-        Of the file.
-    formats : tuple of OutputFormat
-        One for each output.
-    """
-
-    reader: MapReader
-    formats: tuple[OutputFormat, ...]
-
-    @abstractmethod
-    def counts(self, rows: range) -> tuple[int, ...]:
-        """Return how many points of some rows of the file go into each output."""
-
-    @abstractmethod
-    def records(self, batch: PointBatch) -> tuple[Any, ...]:
-        """Return what is written of a batch of the file into each output."""
-
-
-class SplitMode(OutputMode):
+class SplitMode:
     """What stays and what goes, in an output each.
 
     Parameters
@@ -95,7 +71,7 @@ class SplitMode(OutputMode):
 
     def __init__(self, reader: MapReader, labels: Labels) -> None:
         self.reader = reader
-        self.formats = (reader, reader)
+        self.formats: tuple[OutputFormat, ...] = (reader, reader)
         self._labels = labels
 
     def counts(self, rows: range) -> tuple[int, int]:
@@ -111,7 +87,7 @@ class SplitMode(OutputMode):
         return batch.select(kept), batch.select(~kept)
 
 
-class LabelMode(OutputMode):
+class LabelMode:
     """All points in one output, with labels and scores, and with classes where the format has them.
 
     Parameters
@@ -134,7 +110,7 @@ class LabelMode(OutputMode):
     ) -> None:
         self.reader = reader
         self._extended = reader.extended(added_fields(reader, scores.score is not None))
-        self.formats = (self._extended,)
+        self.formats: tuple[OutputFormat, ...] = (self._extended,)
         self._labels = labels
         self._scores = scores
         self._kept = np.array([classes[label] is None for label in Label])
@@ -154,6 +130,10 @@ class LabelMode(OutputMode):
         classes = np.where(self._kept[labels], batch.classification, self._classes[labels])
         values.append(batch.classification)
         return (self._extended.extend(batch, values, classes),)
+
+
+OutputMode = SplitMode | LabelMode
+"""How the points of one file of the map go into its outputs: `formats` has one for each."""
 
 
 def own_names(name: str) -> tuple[str, str]:

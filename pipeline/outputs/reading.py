@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from dynahull.labels import Label
 from pipeline.errors import OutputError
-from pipeline.outputs.folder import LABELS_FILE, RUN_FILE
 from pipeline.outputs.modes import DENSITY, LABEL, own_names
+from pipeline.replacing import LABELS_FILE, RUN_FILE
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.field_values import field_values

@@ -12,9 +12,10 @@ from pydantic import BaseModel, ConfigDict, SkipValidation
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import Configuration
 from pipeline.decision import Decision, Place
-from pipeline.outputs.folder import LABELS_FILE, REPORT_FILE, RUN_FILE, OutputNames
+from pipeline.outputs.folder import OutputNames
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver
+from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.showing import printable
 from pipeline.units import of_map
 from tiling.collection import MapCollection

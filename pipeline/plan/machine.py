@@ -1,32 +1,37 @@
-"""What the machine offers, and what a run took of it."""
+"""What the machine offers, and what a run took of it.
+
+A process is in a control group of a tree, and every group above sets limits as well. A container
+sees a part of such a tree, and may be told a place outside of it.
+"""
 
 import ctypes
 import os
 import resource
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pipeline.control_groups import memory_left, processors
+from pipeline.errors import ConfigurationError
 
 
-def available_cores(wanted: int | Literal["auto"], root: Path = Path("/")) -> int:
+def available_cores(wanted: int | Literal["auto"]) -> int:
     """Return the number of workers: as asked for, or one for each core this process may use.
 
-    A core counts as far as the quota of a control group goes.
-
-    Parameters
-    ----------
-    wanted : int or "auto"
-    root : Path
-        Of the file system in which `proc` and `sys` are looked for.
+    Raises
+    ------
+    ConfigurationError
+        When Dask, which tells, cannot read its own settings.
     """
     if wanted != "auto":
         return wanted
-    cores = len(os.sched_getaffinity(0))
-    quota = processors(root)
-    return cores if quota is None else min(cores, quota)
+    try:
+        from dask.system import cpu_count  # noqa: PLC0415 (it may fail)
+    except ValueError as error:
+        raise ConfigurationError(f"Dask's own configuration: {error}") from error
+    return int(cpu_count())
 
 
 def peak_memory() -> int:
@@ -38,8 +43,7 @@ def peak_memory() -> int:
     for line in _lines(Path("/proc/self/status")):
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def give_memory_back() -> None:
@@ -71,8 +75,115 @@ def available_memory(root: Path = Path("/")) -> int:
     return free if left is None else min(free, left)
 
 
+@dataclass(frozen=True, slots=True)
+class _Mount:
+    """A tree of groups, as the process sees it.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it is seen.
+    root : str
+        The group that is seen there.
+    is_second : bool
+        Whether it is of the second version, which limits everything, or of the first for memory.
+    """
+
+    folder: Path
+    root: str
+    is_second: bool
+
+
+def memory_left(root: Path = Path("/")) -> int | None:
+    """Return the bytes that the control groups of this process leave it; None without a limit.
+
+    Parameters
+    ----------
+    root : Path
+        Of the file system in which `proc` and `sys` are looked for.
+    """
+    left = []
+    for folder, is_second in _groups(root):
+        statistics = _statistics(folder / "memory.stat")
+        if is_second:
+            limits = [_number(folder / name) for name in ("memory.max", "memory.high")]
+            used, cache, shared = _number(folder / "memory.current"), "file", "shmem"
+        else:
+            limits = [_number(folder / "memory.limit_in_bytes")]
+            # Of all groups above, those included that a container does not see.
+            limits.append(statistics.get("hierarchical_memory_limit"))
+            used = _number(folder / "memory.usage_in_bytes")
+            cache, shared = "total_cache", "total_shmem"
+        # The page cache counts as used, and gives way, unless it is memory that is shared.
+        gives_way = statistics.get(cache, 0) - statistics.get(shared, 0)
+        held = max((used or 0) - max(gives_way, 0), 0)
+        left += [limit - held for limit in limits if limit is not None]
+    return max(min(left), 0) if left else None
+
+
+def _groups(root: Path) -> Iterator[tuple[Path, bool]]:
+    """Yield the groups of this process that limit memory, and all those above that it sees.
+
+    With each comes whether its files are those of the second version.
+    """
+    told = [line.split(":", 2) for line in _lines(root / "proc/self/cgroup")]
+    places = [(words[1], words[2]) for words in told if len(words) == 3]
+    for mount in [*_mounts(root)] or _usual_mounts(root):
+        for controllers, place in places:
+            if not controllers if mount.is_second else "memory" in controllers.split(","):
+                for folder in _seen(mount, place):
+                    yield folder, mount.is_second
+
+
+def _seen(mount: _Mount, place: str) -> Iterator[Path]:
+    """Yield where a group is seen, and the groups above it; the latter where it is not seen."""
+    group = Path(place.lstrip("/"))
+    top = Path(mount.root.lstrip("/"))
+    inside = group.relative_to(top) if group.is_relative_to(top) else Path()
+    if ".." in inside.parts:  # outside of what a container is shown
+        inside = Path()
+    for each in (inside, *inside.parents):
+        if (mount.folder / each).is_dir():
+            yield mount.folder / each
+
+
+def _mounts(root: Path) -> Iterator[_Mount]:
+    for line in _lines(root / "proc/self/mountinfo"):
+        fields, _, source = line.partition(" - ")
+        if not source.startswith("cgroup"):
+            continue
+        try:
+            seen, place = fields.split(" ")[3:5]
+            kind, _, options = source.split(" ", 2)
+        except ValueError:
+            continue
+        if kind != "cgroup" or "memory" in options.split(","):
+            folder = root / place.replace(r"\040", " ").lstrip("/")
+            yield _Mount(folder, seen, kind != "cgroup")
+
+
+def _usual_mounts(root: Path) -> list[_Mount]:
+    """Return where the trees are on nearly every system, if that is not said."""
+    folder = root / "sys/fs/cgroup"
+    return [_Mount(folder, "/", True), _Mount(folder / "memory", "/", False)]
+
+
+def _statistics(path: Path) -> dict[str, int]:
+    pairs = (line.partition(" ")[::2] for line in _lines(path))
+    return {name: number for name, text in pairs if (number := _as_number(text)) is not None}
+
+
+def _number(path: Path) -> int | None:
+    return _as_number("".join(_lines(path)))
+
+
+def _as_number(text: str) -> int | None:
+    """Return a limit; None for `max`, -1 and what cannot be read, which are none."""
+    return int(text) if text.strip().isdigit() else None
+
+
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="ascii").splitlines()
+        return path.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
         return []

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.drawing import drawing_library
 from pipeline.plan.plan import Plan
+from pipeline.showing import drawing_library
 from tiling.atomic import atomic_file
 from tiling.occupancy import Occupancy
 from tiling.survey import Survey

@@ -94,7 +94,13 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
     PlanError
         In one line: what it takes, what there is, and what to change.
     """
-    wanted, free = _one_tile_memory(collection, configuration)
+    cloth = configuration.ground.method == "csf"
+    each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
+    if configuration.removal.weighs_evidence:
+        each += EVIDENCE_BYTES
+    wanted = BASE_BYTES + each * collection.point_count
+    memory = configuration.execution.memory
+    free = available_memory() if memory == "auto" else memory
     if wanted > free:
         whole = ground_radius(configuration.ground) is None
         method = f"a ground.method other than {configuration.ground.method}"
@@ -104,23 +110,6 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
             f"{in_units(wanted)}, and there are {in_units(free)}: choose {remedy}, so that the map "
             "is cut"
         )
-
-
-def memory_left(collection: MapCollection, configuration: Configuration) -> int:
-    """Return the bytes that are free beside what a map takes that is cleaned in memory."""
-    wanted, free = _one_tile_memory(collection, configuration)
-    return max(free - wanted, 0)
-
-
-def _one_tile_memory(collection: MapCollection, configuration: Configuration) -> tuple[int, int]:
-    """Return the bytes that a map of one tile takes, and those that there are."""
-    cloth = configuration.ground.method == "csf"
-    each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
-    if configuration.removal.weighs_evidence:
-        each += EVIDENCE_BYTES
-    memory = configuration.execution.memory
-    free = available_memory() if memory == "auto" else memory
-    return BASE_BYTES + each * collection.point_count, free
 
 
 def worker_memory_limit(configuration: Configuration, workers: int) -> int:

@@ -18,8 +18,7 @@ from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
 from dynahull.reference.density import reference_densities
-from pipeline.tiles.nearest import FreePoints, NearestSoFar
-from pipeline.tiles.vicinity import Vicinity
+from pipeline.tiles.nearest import FreePoints, NearestSoFar, Vicinity
 
 _QUERIES_AT_A_TIME = 4_096
 

@@ -1,9 +1,7 @@
 """Algorithm 1 over tiles: the same labels and densities as in memory, to the last bit."""
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -21,21 +19,19 @@ from dynahull.warn import (
     warn_of_much_removed,
     warn_of_sparse_map,
 )
+from pipeline.eligibility import survey_of_others
 from pipeline.errors import PlanError
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
-from pipeline.taking_part import survey_of_others
-from pipeline.tiles.cutting import make_copies, needs_pieces
-from pipeline.tiles.density import LEVELS_NAME, KeptScores, first_cluster
+from pipeline.tiles.cutting import make_copies, save_set_aside, set_aside, warn_of_set_aside
+from pipeline.tiles.density import KeptScores, first_cluster
 from pipeline.tiles.ground import SAMPLE_NAMES
-from pipeline.tiles.labelling import save_cuts
+from pipeline.tiles.labelling import RowResults, save_cuts
 from pipeline.tiles.stages import do_stage, exhaust
-from pipeline.tiles.taking_part import save_set_aside, set_aside, warn_of_set_aside
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.work.array_file import write_arrays
+from pipeline.work.files import write_arrays
 from pipeline.work.folder import TaskReport, remove_work
 from pipeline.work.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
-from pipeline.work.row_results import RowResults
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
@@ -48,30 +44,15 @@ from tiling.survey import Survey, merge
 _SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
 
 
-@dataclass(frozen=True, slots=True)
-class TiledResult:
-    """What the tiles together say; labels, clusters and densities are in files, a value a row.
-
-    Attributes
-    ----------
-    counts : dict of str to int
-        Points of each label.
-    clusters : tuple of ClusterSummary
-    tiles : int
-    """
-
-    counts: dict[str, int]
-    clusters: tuple[ClusterSummary, ...]
-    tiles: int
-
-
 def clean_tiles(
     job: Job,
     executor: Executor,
     observer: StageObserver,
     check: Callable[[Plan], None],
-) -> TiledResult:
+) -> tuple[dict[str, int], tuple[ClusterSummary, ...]]:
     """Label every point of a map that is cut into tiles.
+
+    Labels, clusters and densities are in files, a value a row.
 
     Parameters
     ----------
@@ -80,6 +61,12 @@ def clean_tiles(
     observer : StageObserver
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
+
+    Returns
+    -------
+    counts : dict of str to int
+        Points of each label.
+    clusters : tuple of ClusterSummary
     """
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     place = job.store.layout.typical_place()
@@ -91,27 +78,29 @@ def clean_tiles(
         report.counts[1] for _, report in do_stage(job, executor, observer, "ground", tiles)
     )
     warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
-    with ThreadPoolExecutor(1) as thread:
-        thread.submit(remove_pieces, job)  # one core has time for it
-        find_clusters(job, observer)
+    remove_pieces(job)
+    find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
         reports = do_stage(job, executor, observer, "evidence", tiles)
         wide, scored = np.sum([report.counts for _, report in reports], axis=0)
         warn_of_sparse_map(int(wide), int(scored), observer)
     else:
-        levels = [job.work.load("density", tile, LEVELS_NAME)[0] for tile in range(len(tiles))]
+        levels = [job.work.load("density", tile, "levels")[0] for tile in range(len(tiles))]
         warn_of_densities(np.sum(levels, axis=0), observer)
     percentages, cuts = _rescaled(job, counts, observer)
-    labelled, results = _Labelled(job), RowResults(job)
+    results, found, removed = RowResults(job), _labels_of_no_tile(job), dict[int, int]()
     for tile, report in do_stage(job, executor, observer, "label", tiles):
-        labelled.add(tile, report)
         results.add(tile)
+        found += np.array(report.counts[: len(Label)], np.int64)
+        # A cluster of the map is in many tiles.
+        for cluster, gone in enumerate(report.counts[len(Label) :], first_cluster(job, tile)):
+            removed[cluster] = removed.get(cluster, 0) + gone
     results.flush()
-    result = labelled.result(counts, percentages, cuts)
+    clusters = _summaries(job, counts, percentages, cuts, removed)
     if job.configuration.removal.weighs_evidence:
-        warn_of_much_removed(result.clusters, observer)
-    return result
+        warn_of_much_removed(clusters, observer)
+    return {label.title: int(found[label]) for label in Label}, clusters
 
 
 def plan_tiles(
@@ -155,7 +144,7 @@ def plan_tiles(
 
 def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver, stage: str) -> None:
     """Sort the points of a map whose tiles are planned by tile, for a stage that gathers them."""
-    if not needs_pieces(job, stage):
+    if not job.needs_pieces(stage):
         return
     rows = [len(part) for part in job.cut_ranges]
     exhaust(do_stage(job, executor, observer, "cut", rows))
@@ -283,56 +272,41 @@ def _rescaled(
     return percentages, cuts
 
 
-class _Labelled:
-    """Adds up what the tiles report of their labels."""
+def _labels_of_no_tile(job: Job) -> NDArray[np.int64]:
+    """Count the points of each label that are in no tile: those that take no part."""
+    found = np.zeros(len(Label), np.int64)
+    found[Label.UNSCORED] = unscored = set_aside(job).unscored
+    found[Label.INVALID] = job.collection.point_count - job.finite_count - unscored
+    return found
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
-        self._labels = np.zeros(len(Label), np.int64)
-        # Points that take no part are in no tile.
-        unscored = set_aside(job).unscored
-        self._labels[Label.UNSCORED] = unscored
-        self._labels[Label.INVALID] = job.collection.point_count - job.finite_count - unscored
-        self._removed: dict[int, int] = {}
 
-    def add(self, tile: int, report: TaskReport) -> None:
-        """Count a tile."""
-        self._labels += np.array(report.counts[: len(Label)], np.int64)
-        first = first_cluster(self._job, tile)
-        for cluster, removed in enumerate(report.counts[len(Label) :], first):
-            self._removed[cluster] = self._removed.get(cluster, 0) + removed
-
-    def result(
-        self, counts: NDArray[np.int64], percentages: Sequence[Fraction], cuts: list[Cut] | None
-    ) -> TiledResult:
-        """Return what all tiles together say."""
-        job = self._job
-        present = np.flatnonzero(counts >= 0)
-        centroids, thresholds = self._of_map(cuts) if cuts is not None else self._of_tiles()
-        clusters = tuple(
-            ClusterSummary(
-                index=index,
-                centroid=(float(centre[0]), float(centre[1]), float(centre[2])),
-                count=int(counts[index]),
-                percentage=float(percentage),
-                threshold=threshold,
-                removed=self._removed.get(index, 0),
-            )
-            for index, centre, percentage, threshold in zip(
-                present.tolist(), centroids, percentages, thresholds, strict=True
-            )
-        )
-        titles = {label.title: int(self._labels[label]) for label in Label}
-        return TiledResult(titles, clusters, len(job.store.layout))
-
-    def _of_map(self, cuts: list[Cut]) -> tuple[NDArray[np.float64], list[float | None]]:
-        return self._job.clusters.centroids, [cut.density for cut in cuts]
-
-    def _of_tiles(self) -> tuple[NDArray[np.float64], list[float | None]]:
-        centroids = [np.empty((0, 3))]
-        thresholds: list[float | None] = []
-        for tile in range(len(self._job.store.layout)):
-            centroids += self._job.work.load("density", tile, "centroids")
-            (limits,) = self._job.work.load("label", tile, "thresholds")
+def _summaries(
+    job: Job,
+    counts: NDArray[np.int64],
+    percentages: Sequence[Fraction],
+    cuts: list[Cut] | None,
+    removed: Mapping[int, int],
+) -> tuple[ClusterSummary, ...]:
+    """Return what all tiles together say of the clusters."""
+    if cuts is not None:
+        centroids, thresholds = job.clusters.centroids, [cut.density for cut in cuts]
+    else:
+        centroids, thresholds = np.empty((0, 3)), []
+        for tile in range(len(job.store.layout)):
+            centroids = np.concatenate([centroids, *job.work.load("density", tile, "centroids")])
+            (limits,) = job.work.load("label", tile, "thresholds")
             thresholds += [None if np.isnan(limit) else limit for limit in limits.tolist()]
-        return np.concatenate(centroids), thresholds
+    present = np.flatnonzero(counts >= 0).tolist()
+    return tuple(
+        ClusterSummary(
+            index=index,
+            centroid=(float(centre[0]), float(centre[1]), float(centre[2])),
+            count=int(counts[index]),
+            percentage=float(percentage),
+            threshold=threshold,
+            removed=removed.get(index, 0),
+        )
+        for index, centre, percentage, threshold in zip(
+            present, centroids, percentages, thresholds, strict=True
+        )
+    )

@@ -1,34 +1,131 @@
-"""Tasks that read the map: its survey, and its points cut into chunks."""
+"""Tasks that read the map: its survey, which finds who takes part, and its points cut into chunks.
+
+Points that are marked in the map are in a file of one value a row; all else that must be known of
+who takes no part is a few numbers.
+"""
 
 from collections.abc import Iterator
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
-from pipeline.taking_part import Watcher
-from pipeline.tiles.taking_part import PointsTakingPart, make_left_out, note_left_out
+import numpy as np
+from numpy.typing import NDArray
+
+from dynahull.checking import valid_points
+from dynahull.labels import Label
+from dynahull.progress import Observer
+from dynahull.strays import Strays, is_at_origin, warn_of_strays
+from pipeline.eligibility import Watcher, hidden, may_leave_out, warn_of_left_out
+from pipeline.work.files import open_rows, read_sealed, write_rows, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from pipeline.work.rows import write_rows
-from tiling.chunks import assemble, has_chunk
+from tiling.chunks import assemble
 from tiling.formats.points import PointBatch
 from tiling.output_file import make_sized
 from tiling.pieces import write_pieces
 from tiling.survey import survey_batches
+
+SET_ASIDE_FILE = "set_aside.json"
+_LEFT_OUT = "left_out"
+_AT_A_TIME = 1 << 22
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetAside:
+    """What the whole map says of points that take no part.
+
+    Attributes
+    ----------
+    heap : int
+        Points at exactly the origin, if they are a heap; otherwise 0.
+    strays : (n,) int64 array
+        Row numbers, ascending.
+    left_out : int
+        Points that the map marks.
+    """
+
+    heap: int
+    strays: NDArray[np.int64]
+    left_out: int
+
+    @property
+    def unscored(self) -> int:
+        """Points that are labelled so and are in no tile."""
+        return self.left_out + len(self.strays)
+
+
+def save_set_aside(job: Job, strays: Strays, left_out: int) -> None:
+    """Keep what all ranges of rows together say."""
+    values = {"heap": strays.heap, "strays": strays.rows.tolist(), "left_out": left_out}
+    write_sealed(job.root / SET_ASIDE_FILE, values)
+
+
+def warn_of_set_aside(job: Job, observer: Observer) -> None:
+    """Say which points take no part."""
+    known = set_aside(job)
+    warn_of_left_out(known.left_out, job.configuration.input, observer)
+    warn_of_strays(known.heap, len(known.strays), observer)
+
+
+def set_aside(job: Job) -> SetAside:
+    """Return what `save_set_aside` kept."""
+    path = job.root / SET_ASIDE_FILE
+    return _read(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path, _changed: int) -> SetAside:
+    stored = read_sealed(path)
+    return SetAside(stored["heap"], np.array(stored["strays"], np.int64), stored["left_out"])
+
+
+class PointsTakingPart:
+    """The points of a map, of which those are hidden that take no part."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._set_aside = set_aside(job)
+
+    def batches(self, max_points: int, rows: range) -> Iterator[tuple[int, PointBatch]]:
+        """Yield points of a range of rows; see `MapCollection.batches`."""
+        source = self._job.decoded or self._job.collection
+        for file, batch in source.batches(max_points, rows):
+            yield file, hidden(batch, self._unwanted(batch))
+
+    def _unwanted(self, batch: PointBatch) -> NDArray[np.bool_]:
+        first, count = batch.first_row, len(batch.xyz)
+        unwanted = ~valid_points(batch.xyz)
+        if self._set_aside.heap:
+            unwanted |= is_at_origin(batch.xyz)
+        if self._set_aside.left_out:
+            marked = open_rows(self._job.rows_path(_LEFT_OUT), np.uint8)
+            unwanted |= marked[first : first + count] != 0
+        strays = self._set_aside.strays
+        start, stop = np.searchsorted(strays, [first, first + count])
+        unwanted[strays[start:stop] - first] = True
+        return unwanted
+
+
+def label_unscored(job: Job, labels: NDArray[np.uint8]) -> None:
+    """Label the points that are in no tile, yet are not invalid."""
+    known = set_aside(job)
+    labels[known.strays] = Label.UNSCORED
+    if known.left_out:
+        marked = open_rows(job.rows_path(_LEFT_OUT), np.uint8)
+        for start in range(0, len(labels), _AT_A_TIME):
+            of_block = np.flatnonzero(marked[start : start + _AT_A_TIME])
+            labels[start + of_block] = Label.UNSCORED
 
 
 def make_copies(job: Job) -> None:
     """Make the files for what the survey keeps of the map; what is there of them stays."""
     if job.needs_classes:
         make_sized(job.rows_path("class"), job.collection.point_count)
-    make_left_out(job)
+    if may_leave_out(job.collection, job.configuration.input):
+        make_sized(job.rows_path(_LEFT_OUT), job.collection.point_count)
     if job.decoded is not None:
         job.decoded.make()
-
-
-def needs_pieces(job: Job, stage: str) -> bool:
-    """Tell whether a stage that gathers chunks from the pieces has any to gather yet."""
-    tiles = range(len(job.store.layout))
-    undone = any(job.work.report(stage, tile) is None for tile in tiles)
-    return undone and not all(has_chunk(job.store, tile) for tile in tiles)
 
 
 def survey_rows(job: Job, number: int) -> TaskReport:
@@ -38,7 +135,11 @@ def survey_rows(job: Job, number: int) -> TaskReport:
     batches = (batch for _, batch in read) if job.decoded is None else job.decoded.keep(read)
     if job.needs_classes:
         batches = _classes_kept(job, batches)
-    watcher = Watcher(job.configuration, partial(note_left_out, job))
+
+    def note(first_row: int, out: NDArray[np.bool_]) -> None:
+        write_rows(job.rows_path(_LEFT_OUT), first_row, out.view(np.uint8))
+
+    watcher = Watcher(job.configuration, note)
     survey = survey_batches(watcher.watch(batches))
     job.work.save("survey", number, **survey.to_arrays(), **watcher.outskirts.to_arrays())
     return TaskReport(len(rows), (watcher.left_out,))

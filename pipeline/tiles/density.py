@@ -1,8 +1,5 @@
 """The task that scores one tile."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,9 +21,6 @@ from pipeline.tiles.thresholds import ScoredPoints
 from pipeline.tiles.weighing import scored_voxels
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-
-LEVELS_NAME = "levels"
-"""Of the counts of densities that a tile keeps."""
 
 _NEIGHBOURS_WITHIN = 2.0
 """Metres around a part of a tile that most neighbours are found in; the others are looked for."""
@@ -66,8 +60,18 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         finished_elsewhere += scores.finished_elsewhere
     scored = ScoredPoints(cluster[core], density[core], free.rows[core])
     voxels = scored_voxels(job, tile, scored.density, spread[core]) if columns else {}
-    levels = {LEVELS_NAME: density_levels(scored.density)}
-    save_scores(job, tile, scored, clusters.centroids, voxels | levels)
+    order = np.argsort(scored.cluster, kind="stable")
+    job.work.save(
+        "density",
+        tile,
+        **voxels,
+        grouped=scored.density[order],
+        starts=np.searchsorted(scored.cluster[order], np.arange(len(clusters.centroids) + 1)),
+        levels=density_levels(scored.density),
+        centroids=clusters.centroids,
+        cluster=scored.cluster,
+        density=scored.density,
+    )
     counts = np.bincount(scored.cluster, minlength=len(clusters.centroids))
     points = int(job.store.layout.counts[tile])
     return TaskReport(points, (finished_elsewhere, *counts.tolist()))
@@ -99,26 +103,6 @@ def first_cluster(job: Job, tile: int) -> int:
 
 
 _BY_ROW = ("cluster", "density")
-_ORDERED, _STARTS = "ordered", "starts"
-
-_MOST_MAPPED = 30_000
-"""Files looked into at a time, of the 65,530 that Linux allows; more are opened again and again."""
-
-
-def save_scores(
-    job: Job,
-    tile: int,
-    scored: ScoredPoints,
-    centroids: NDArray[np.float64],
-    more: Mapping[str, NDArray[Any]],
-) -> None:
-    """Keep the scores of a tile, the centroids of its clusters, and what else is to be kept."""
-    members = (scored.cluster == cluster for cluster in range(len(centroids)))
-    ordered = [np.sort(scored.density[of_cluster]) for of_cluster in members]
-    kept: dict[str, NDArray[Any]] = {name: getattr(scored, name) for name in _BY_ROW}
-    kept[_ORDERED] = np.concatenate([np.empty(0), *ordered])
-    kept[_STARTS] = np.cumsum([0, *map(len, ordered)])
-    job.work.save("density", tile, **more, centroids=centroids, **kept)
 
 
 def scored_points(job: Job, tile: int) -> ScoredPoints:
@@ -133,22 +117,15 @@ class KeptScores:
     def __init__(self, job: Job, tile: int) -> None:
         self._job = job
         self._tile = tile
-        self._mapped: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
 
-    def ordered(self, cluster: int) -> NDArray[np.float64]:
-        """Return the densities of its points in a cluster, ascending: infinite and NaN last."""
-        ordered, starts = self._mapped or self._open()
-        return ordered[starts[cluster] : starts[cluster + 1]]
+    def densities(self, cluster: int) -> NDArray[np.float64]:
+        """Return the densities of its points in a cluster."""
+        (starts,) = self._job.work.load("density", self._tile, "starts")
+        grouped = self._job.work.map("density", self._tile, "grouped")
+        return grouped[starts[cluster] : starts[cluster + 1]]
 
     def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
         """Return the row numbers of its points in a cluster that have just this density."""
         scored = scored_points(self._job, self._tile)
         tied = (scored.cluster == cluster) & (scored.density == density)
         return np.asarray(scored.rows[tied])
-
-    def _open(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        ordered = self._job.work.map("density", self._tile, _ORDERED)
-        (starts,) = self._job.work.load("density", self._tile, _STARTS)
-        if self._tile < _MOST_MAPPED:
-            self._mapped = ordered, starts
-        return ordered, starts

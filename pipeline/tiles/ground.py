@@ -15,9 +15,9 @@ from pipeline.tiles.borders import Region
 from pipeline.tiles.division import divided
 from pipeline.tiles.nearest import FreePoints
 from pipeline.tiles.weighing import unscored_voxels
+from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from pipeline.work.rows import open_rows
 from tiling.chunk_store import Chunk, joined
 from tiling.chunks import assemble, has_chunk, read_chunk, read_cores
 from tiling.layout import Layout

@@ -1,11 +1,11 @@
-"""The task that labels the points of one tile, once all tiles are scored."""
+"""The task that labels the points of one tile, once all are scored, and what all tiles then say."""
 
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.model import Judged
@@ -15,17 +15,30 @@ from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.result import NO_CLUSTER
 from pipeline.decision import Decision
 from pipeline.errors import WorkError
+from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
+from pipeline.outputs.map_sample import MapSample, is_sampled
 from pipeline.places import ARRAY_NAMES, DecisionSums
+from pipeline.report_page.charts import TileWork
+from pipeline.tiles.cutting import label_unscored
 from pipeline.tiles.density import KeptScores, first_cluster, scored_points
-from pipeline.tiles.ground import LABEL_NAMES
-from pipeline.tiles.sampling import shown_points
-from pipeline.tiles.sealed import GO_ON, read_sealed, write_sealed
-from pipeline.tiles.thresholds import Cut, find_cuts
+from pipeline.tiles.ground import LABEL_NAMES, SHOWN_NAMES
+from pipeline.tiles.thresholds import Cut, ScoredPoints, find_cuts
 from pipeline.tiles.weighing import judge_tile
+from pipeline.work.files import GO_ON, make_rows, open_rows, read_sealed, write_sealed
 from pipeline.work.folder import TaskReport
-from pipeline.work.job import Job
+from pipeline.work.job import JOB_FILE, Job
 
 CUTS_FILE = "cuts.json"
+
+_STAGES_OF_A_TILE = ("ground", "density", "evidence", "label")
+
+LABELS: dict[str, tuple[DTypeLike, float]] = {"label": (np.uint8, Label.INVALID)}
+SCORES: dict[str, tuple[DTypeLike, float]] = {
+    "cluster": (np.int32, NO_CLUSTER),
+    "density": (np.float64, np.nan),
+    "score": (np.float32, np.nan),
+}
+"""Files of one value a row: their types, and what a row has that is in no tile."""
 
 
 def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
@@ -130,3 +143,91 @@ def _extremes(job: Job, counts: list[int]) -> list[int]:
     """Return N_min and N_max of Eq. 1."""
     populated = [count for count in counts if count > 0] or [0]
     return [smallest_counted(populated, job.configuration.neighbours.k), max(populated)]
+
+
+def shown_points(
+    job: Job,
+    tile: int,
+    core_rows: NDArray[np.int64],
+    core_labels: NDArray[np.uint8],
+    scored: ScoredPoints,
+    score_of: NDArray[np.float32] | None,
+) -> MapSample:
+    """Return the sampled points of a tile's core, and what became of them.
+
+    `score_of` says how likely the points that are `scored` have moved, if that was asked.
+    """
+    total = job.collection.point_count
+    xyz, rows = job.work.load("ground", tile, *SHOWN_NAMES)
+    wanted = is_sampled(scored.rows, total)
+    cluster = np.full(len(rows), NO_CLUSTER, np.int32)
+    density = np.full(len(rows), np.nan)
+    place = np.searchsorted(rows, scored.rows[wanted])  # rows are in order
+    cluster[place] = scored.cluster[wanted] + first_cluster(job, tile)
+    density[place] = scored.density[wanted]
+    score = np.full(len(rows), np.nan, np.float32)
+    if score_of is not None:
+        score[place] = score_of[wanted]
+    labels = core_labels[np.searchsorted(core_rows, rows)]
+    return MapSample(total, rows, xyz, labels, cluster, density, score)
+
+
+def gather_sample(job: Job) -> MapSample:
+    """Return the sample of the map: that of all its tiles."""
+    total = job.collection.point_count
+    parts = [
+        MapSample(total, *job.work.load("label", tile, *SHOWN_ARRAYS))
+        for tile in range(len(job.store.layout))
+    ]
+    return MapSample.of_parts(total, parts)
+
+
+def tile_work(job: Job) -> TileWork:
+    """Return what the tiles took, as their tasks report it."""
+    layout = job.store.layout
+    tiles = range(len(layout))
+    begun = (job.root / JOB_FILE).stat().st_mtime
+    seconds, finished = np.zeros(len(tiles)), np.zeros(len(tiles))
+    for tile in tiles:
+        for stage in _STAGES_OF_A_TILE:
+            report = job.work.report(stage, tile)
+            if report is not None:
+                seconds[tile] += report.seconds
+        finished[tile] = job.work.path("density", tile, ".done").stat().st_mtime
+    overfull = np.zeros(len(tiles), np.bool_)
+    overfull[layout.overfull(job.configuration.tiling.max_points)] = True
+    return TileWork(layout.low, layout.high, layout.counts, seconds, finished < begun, overfull)
+
+
+class RowResults:
+    """Labels and, where wanted, clusters and densities, in files of one value a row.
+
+    One process writes them. The rows of a tile lie all over a file: workers of several machines
+    would write to the same page, and on NFS the last of them would undo what the others wrote.
+
+    Parameters
+    ----------
+    job : Job
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        kinds = LABELS | (SCORES if job.configuration.output.needs_scores else {})
+        self._files: dict[str, NDArray[Any]] = {}
+        for name, (kind, value) in kinds.items():
+            make_rows(job.rows_path(name), job.collection.point_count, kind, value)
+            self._files[name] = open_rows(job.rows_path(name), kind, "r+")
+        label_unscored(job, self._files["label"])
+
+    def add(self, tile: int) -> None:
+        """Take over what the label task of a tile kept."""
+        (rows,) = self._job.work.load("ground", tile, "core_rows")
+        values = self._job.work.load("label", tile, *self._files)
+        for file, of_tile in zip(self._files.values(), values, strict=True):
+            file[rows] = of_tile
+
+    def flush(self) -> None:
+        """Let other processes see it, on other machines as well."""
+        for file in self._files.values():
+            if isinstance(file, np.memmap):
+                file.flush()

@@ -1,4 +1,4 @@
-"""The nearest points of a few queries, met one tile after the other."""
+"""The nearest points of a few queries, met one tile after the other, and where they may lie."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.compilation import compiled
 from dynahull.reference.neighbours import nearest_neighbours
-from pipeline.tiles.vicinity import Vicinity
 
-_MOST_WITHOUT_TREE = 128
+_MOST_CELLS = 1_000
+"""Cells of a vicinity along each axis: a million together, a byte each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +36,63 @@ class FreePoints:
         return FreePoints(self.xyz.take(chosen, axis=0), self.rows.take(chosen))
 
 
+class Vicinity:
+    """The surroundings, seen from above, of some points.
+
+    A raster of square cells at least as wide as the farthest reach: all cells that hold one of the
+    points, and those around these. So it holds every place within reach of a point, and some more.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64 array
+        The points, at least one.
+    reach : (n,) float64 array
+        How far from each, metres.
+
+    Attributes
+    ----------
+    low, high : (2,) float64 arrays
+        The box of the surroundings.
+    """
+
+    def __init__(self, xyz: NDArray[np.float64], reach: NDArray[np.float64]) -> None:
+        flat = xyz[:, :2]
+        extent = flat.max(axis=0) - flat.min(axis=0)
+        # Wider than the reach, and than what coordinates tell apart, by more than the rounding of a
+        # place can move it: so never two cells away.
+        rounding = float(np.spacing(np.abs(flat).max()))
+        self._cell = max(
+            float(reach.max()) * 1.001, float(extent.max()) / _MOST_CELLS, 1e4 * rounding
+        )
+        self.low = flat.min(axis=0) - 2 * self._cell
+        cells = ((flat - self.low) / self._cell).astype(np.int64)
+        shape = cells.max(axis=0) + 3
+        self.high = self.low + shape * self._cell
+        self._marked = np.zeros(shape, np.bool_)
+        for step_x in (-1, 0, 1):
+            for step_y in (-1, 0, 1):
+                self._marked[cells[:, 0] + step_x, cells[:, 1] + step_y] = True
+
+    def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which of other points lie there, (m,) bool."""
+        place = (xyz[:, :2] - self.low) / self._cell
+        found: NDArray[np.bool_] = ((place >= 0) & (place < self._marked.shape)).all(axis=1)
+        cells = place[found].astype(np.int64)
+        found[found] = self._marked[cells[:, 0], cells[:, 1]]
+        return found
+
+    def meets(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
+        """Tell whether a box, which may be infinite, meets it."""
+        first = np.maximum((low - self.low) / self._cell, 0)
+        last = np.minimum((high - self.low) / self._cell, np.array(self._marked.shape))
+        if (first > last).any():
+            return False
+        # A cell more on either side, for the rounding of the box's place.
+        from_x, from_y = np.maximum(first.astype(np.int64) - 1, 0)
+        to_x, to_y = last.astype(np.int64) + 2
+        return bool(self._marked[from_x:to_x, from_y:to_y].any())
+
+
 class NearestSoFar:
     """The k nearest points met so far, of each of some queries.
 
@@ -60,14 +116,10 @@ class NearestSoFar:
 
     def offer(self, points: FreePoints, slots: NDArray[np.intp]) -> None:
         """Let the queries `slots` choose among more points."""
+        reach = self._reach()[slots]
+        if len(points) and np.isfinite(reach).all():
+            points = points.select(Vicinity(self._centres[slots], reach).holds(points.xyz))
         if not len(points):
-            return
-        if len(slots) <= _MOST_WITHOUT_TREE:
-            reach = self._reach()[slots]
-            octaves = np.frexp(reach)[1]
-            for octave in np.unique(octaves):
-                alike = octaves == octave
-                self._offer_around(points, slots[alike], reach[alike])
             return
         centres = self._centres[slots]
         found = nearest_neighbours(points.xyz, points.rows, self._k, centres)
@@ -75,36 +127,6 @@ class NearestSoFar:
         dx, dy, dz = (difference[..., axis] for axis in range(3))
         squared = (dx * dx + dy * dy) + dz * dz
         self._keep(slots, squared, points.rows[found], points.xyz[found])
-
-    def _offer_around(
-        self, points: FreePoints, slots: NDArray[np.intp], reach: NDArray[np.float64]
-    ) -> None:
-        """Let a few queries of like reach choose among the points around them.
-
-        To look at each of these takes less time than to build a tree.
-        """
-        if np.isfinite(reach).all():
-            points = points.select(Vicinity(self._centres[slots], reach).holds(points.xyz))
-        near, squared = np.empty(len(points), np.intp), np.empty(len(points))
-        for slot in slots:
-            limit = min(self._squared[slot, -1], self._squared_limit[slot])
-            count = _within(points.xyz, self._centres[slot], limit, near, squared)
-            self._offer_to(slot, points, near[:count], squared[:count])
-
-    def _offer_to(
-        self,
-        slot: np.intp,
-        points: FreePoints,
-        near: NDArray[np.intp],
-        squared: NDArray[np.float64],
-    ) -> None:
-        """Let one query choose among points that are near enough, at these squared distances."""
-        if len(near) > self._k:
-            nearest = squared <= np.partition(squared, self._k - 1)[self._k - 1]
-            near, squared = near[nearest], squared[nearest]
-        if len(near):
-            chosen = near[None]
-            self._keep(np.array([slot]), squared[None], points.rows[chosen], points.xyz[chosen])
 
     def _keep(
         self,
@@ -144,26 +166,3 @@ class NearestSoFar:
         # A hair more than the distance, so that no rounding of it hides a tie beyond a border.
         limit = np.minimum(self._squared[:, -1], self._squared_limit)
         return np.asarray(np.sqrt(limit) * (1 + 1e-9))
-
-
-@compiled
-def _within(
-    xyz: NDArray[np.float64],
-    centre: NDArray[np.float64],
-    squared_limit: float,
-    near: NDArray[np.intp],
-    squared: NDArray[np.float64],
-) -> int:
-    """Find the points no farther than a limit: their indices, squared distances, and number."""
-    count = 0
-    for point in range(len(xyz)):
-        dx, dy, dz = (
-            xyz[point, 0] - centre[0],
-            xyz[point, 1] - centre[1],
-            xyz[point, 2] - centre[2],
-        )
-        distance = (dx * dx + dy * dy) + dz * dz
-        # Written in any case, and kept if it counts: no branch to be guessed.
-        near[count], squared[count] = point, distance
-        count += distance <= squared_limit
-    return count

@@ -15,9 +15,9 @@ from pipeline.tiles.density import score_tile
 from pipeline.tiles.division import SIDES
 from pipeline.tiles.ground import find_ground
 from pipeline.tiles.labelling import label_tile
-from pipeline.tiles.sealed import write_sealed
 from pipeline.tiles.weighing import weigh_tile
 from pipeline.tiles.writing import file_of_part, write_part
+from pipeline.work.files import write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
 from pipeline.work.map_state import check_map

@@ -1,9 +1,6 @@
 """The exact threshold of each cluster over all tiles, without gathering all densities in one place.
 
-Each tile keeps the densities of each cluster in their order. A positive float64 orders like its
-bits, so the density of a given rank is found by halving the range of its bits: how many densities
-of a tile are no larger is a binary search, which looks at a few pages of a file. What is held at a
-time is two places a tile.
+The densities of one tile are looked at a time, see `order_statistic`.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,9 +13,7 @@ from numpy.typing import NDArray
 
 from dynahull.removal import removable_count, stepped_quartiles, stepped_threshold
 from dynahull.rescale import removal_count
-
-_INFINITE = int(np.array(np.inf).view(np.uint64))
-"""The bits of infinity; of what is not a number they are more."""
+from pipeline.tiles.order_statistic import order_statistic
 
 _ROW_BITS = 20
 """Of a row number: that many rows are held at a time when equally dense points are told apart."""
@@ -44,8 +39,8 @@ class ScoredPoints:
 class ScoredTile(Protocol):
     """What is known of the points of a tile that were clustered."""
 
-    def ordered(self, cluster: int) -> NDArray[np.float64]:
-        """Return the densities of its points in a cluster, ascending: infinite and NaN last."""
+    def densities(self, cluster: int) -> NDArray[np.float64]:
+        """Return the densities of its points in a cluster, in any order."""
 
     def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
         """Return the row numbers of its points in a cluster that have just this density."""
@@ -106,63 +101,42 @@ def find_cuts(
 def _cut_by_rank(
     tiles: Sequence[ScoredTile], cluster: int, count: int, percentage: Fraction
 ) -> Cut:
-    removed = min(removal_count(percentage, count), _finite(tiles, cluster))
+    densities = _Densities(tiles, cluster)
+    removed = min(removal_count(percentage, count), densities.finite())
     if not removed:
         return Cut(None)
-    limit, below = _order_statistic(tiles, cluster, removed - 1)
-    tied = [
-        tile
-        for tile, place in zip(tiles, below, strict=True)
-        if (tile.ordered(cluster)[place : place + 1] == limit).any()
-    ]
+    limit = order_statistic(densities, removed - 1)
+    below = sum(int(np.count_nonzero(each < limit)) for each in densities)
 
     def rows() -> Iterator[NDArray[np.int64]]:
-        return (tile.rows_at(cluster, limit) for tile in tied)
+        return (tile.rows_at(cluster, limit) for tile in tiles)
 
-    return Cut(limit, _row_of_rank(rows, removed - 1 - sum(below)))
+    return Cut(limit, _row_of_rank(rows, removed - 1 - below))
 
 
 def _cut_by_steps(
     tiles: Sequence[ScoredTile], cluster: int, count: int, percentage: Fraction
 ) -> Cut:
-    finite = _finite(tiles, cluster)
+    densities = _Densities(tiles, cluster)
+    finite = densities.finite()
     wanted = removable_count(percentage, count, finite)
     if not wanted:
         return Cut(None)
     ranks = (*stepped_quartiles(finite), wanted - 1)
-    statistics = [_order_statistic(tiles, cluster, rank)[0] for rank in ranks]
-    return Cut(stepped_threshold(*statistics))
+    return Cut(stepped_threshold(*(order_statistic(densities, rank) for rank in ranks)))
 
 
-def _finite(tiles: Sequence[ScoredTile], cluster: int) -> int:
-    """Count the points of a cluster whose density is finite."""
-    return sum(_no_larger(tile.ordered(cluster), _INFINITE - 1) for tile in tiles)
+class _Densities:
+    """The densities of a cluster, one tile after the other, as often as they are asked for."""
 
+    def __init__(self, tiles: Sequence[ScoredTile], cluster: int) -> None:
+        self._tiles, self._cluster = tiles, cluster
 
-def _order_statistic(
-    tiles: Sequence[ScoredTile], cluster: int, rank: int
-) -> tuple[float, list[int]]:
-    """Find the density of a rank, from zero, in a cluster, and how many each tile has below it."""
-    low, high = 0, _INFINITE
-    begins = [0] * len(tiles)
-    ends = [len(tile.ordered(cluster)) for tile in tiles]
-    while low < high:
-        middle = (low + high) // 2
-        places = [
-            begin + (_no_larger(tile.ordered(cluster)[begin:end], middle) if begin < end else 0)
-            for tile, begin, end in zip(tiles, begins, ends, strict=True)
-        ]
-        if sum(places) > rank:
-            high, ends = middle, places
-        else:
-            low, begins = middle + 1, places
-    return float(np.array(low, np.uint64).view(np.float64)), begins
+    def __iter__(self) -> Iterator[NDArray[np.float64]]:
+        return (tile.densities(self._cluster) for tile in self._tiles)
 
-
-def _no_larger(ordered: NDArray[np.float64], bits: int) -> int:
-    """Count the densities, in their order, whose bits are no larger than these."""
-    # A Python integer would be compared as float64, of which many bits look the same.
-    return int(np.searchsorted(ordered.view(np.uint64), np.uint64(bits), side="right"))
+    def finite(self) -> int:
+        return sum(int(np.count_nonzero(np.isfinite(each))) for each in self)
 
 
 def _row_of_rank(rows: Callable[[], Iterator[NDArray[np.int64]]], rank: int) -> int:

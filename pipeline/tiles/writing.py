@@ -1,11 +1,7 @@
-"""The input streamed once more into the outputs, in order, with all fields.
-
-Outputs whose records are of one size are written in parts by several workers, each its own range
-of rows; the others by one process, as a stream.
-"""
+"""Outputs whose records are of one size: written by several workers, each its own range of rows."""
 
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,72 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ahead import made_ahead
-from pipeline.errors import LostPointsError, WorkError
+from pipeline.errors import WorkError
 from pipeline.outputs.modes import OutputMode, PointScores, mode_of
-from pipeline.tiles.sealed import read_if_whole, read_sealed, write_sealed
+from pipeline.work.files import open_rows, read_if_whole, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import CREATING, Job
-from pipeline.work.rows import open_rows
-from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parts import PartSummary, PartWriter
+from tiling.formats.points import DEFAULT_BATCH
 from tiling.ledger import note_end, noting
 
-BATCH = 500_000
 PARTS_FILE = "parts.json"
 GROWING = "outputs"
 """Within the work folder: outputs that are being written in parts."""
-
-
-def write_stream(
-    mode: OutputMode,
-    batches: Iterable[PointBatch],
-    outputs: Sequence[Path],
-    advance: Callable[[int], None],
-    ahead: bool,
-) -> None:
-    """Write the outputs of one file of the map.
-
-    Parameters
-    ----------
-    mode : OutputMode
-        Of the file.
-    batches : iterable of PointBatch
-        The points of the file.
-    outputs : sequence of Path
-        To be written.
-    advance : callable
-        Told of points done.
-    ahead : bool
-        Whether there is a core to read and select points while those before are written.
-    """
-    counts = mode.counts(range(mode.reader.description.point_count))
-    with ExitStack() as stack:
-        writers = [
-            stack.enter_context(each.writer(path, count))
-            for each, path, count in zip(mode.formats, outputs, counts, strict=True)
-        ]
-        selected = ((len(batch.xyz), mode.records(batch)) for batch in batches)
-        for points, records in made_ahead(selected) if ahead else selected:
-            for writer, of_output in zip(writers, records, strict=True):
-                writer.write(of_output)
-            advance(points)
-
-
-def check_written(reader: MapReader, outputs: Sequence[Path]) -> None:
-    """Check that the outputs of a file together have its points.
-
-    Raises
-    ------
-    LostPointsError
-        When they do not.
-    """
-    description = reader.description
-    written = sum(open_map(path).description.point_count for path in outputs)
-    if written != description.point_count:
-        raise LostPointsError(
-            f"{description.path}: {description.point_count} points read, {written} written"
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +52,10 @@ class OutputPlan:
     points : dict of int to tuple of int
         Of each input file, the points of its outputs.
     parts : tuple of OutputPart
-    mode : str
-        The configuration that decides what goes where.
     """
 
     points: dict[int, tuple[int, ...]]
     parts: tuple[OutputPart, ...]
-    mode: str
 
     def counts(self, number: int) -> tuple[int, ...]:
         """Return the points of each output in a part."""
@@ -125,47 +64,21 @@ class OutputPlan:
         ends = following[0].firsts if same_file else self.points[part.file]
         return tuple(end - first for end, first in zip(ends, part.firsts, strict=True))
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what `from_json` reads, of the types of JSON."""
-        parts = [
-            [part.file, part.rows.start, part.rows.stop, list(part.firsts)] for part in self.parts
-        ]
-        points = [[file, list(counts)] for file, counts in self.points.items()]
-        return {"points": points, "parts": parts, "mode": self.mode}
-
-    @classmethod
-    def from_json(cls, kept: Any) -> "OutputPlan":
-        """Return the plan of which `to_json` returned this."""
-        return cls(
-            {file: tuple(counts) for file, counts in kept["points"]},
-            tuple(
-                OutputPart(file, range(start, stop), tuple(firsts))
-                for file, start, stop, firsts in kept["parts"]
-            ),
-            kept["mode"],
-        )
-
 
 def growing_outputs(job: Job, file: int, outputs: int) -> tuple[Path, ...]:
     """Return where the outputs of a file of the map grow, by names that follow from no other."""
     return tuple(job.root / GROWING / f"{file:06d}-{output}" for output in range(outputs))
 
 
-def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
-    """Create the outputs of some files, to be written in parts, and keep the plan.
+def plan_parts(job: Job) -> OutputPlan:
+    """Create the outputs of the files whose format is written in parts, and keep the plan.
 
     Where an earlier run left them, and the same is wanted, its parts are gone on with.
-
-    Parameters
-    ----------
-    job : Job
-        Whose labels are known.
-    files : sequence of int
-        Files of the map whose format is written in parts.
     """
-    plan = _plan_of(job, files)
-    writers = [writer for file in files for writer in _writers(job, plan, file)]
-    if job.work.has_done(CREATING) and _earlier_plan(job) == _kept(plan, writers):
+    plan = _plan_of(job)
+    writers = [writer for file in plan.points for writer in _writers(job, plan, file)]
+    earlier = read_if_whole(job.root / PARTS_FILE)
+    if job.work.has_done(CREATING) and earlier == _kept(job, plan, writers):
         for number in range(len(plan.parts)):
             if _summaries(job, plan, number) is None:
                 job.work.forget("write", number)
@@ -178,43 +91,43 @@ def plan_parts(job: Job, files: Sequence[int]) -> OutputPlan:
         for writer in writers:
             writer.create()
             note_end(writer.path)
-        write_sealed(job.root / PARTS_FILE, _kept(plan, writers))
+        write_sealed(job.root / PARTS_FILE, _kept(job, plan, writers))
     job.work.finish_step(CREATING, written)
     return plan
 
 
-def _earlier_plan(job: Job) -> dict[str, Any] | None:
-    return read_if_whole(job.root / PARTS_FILE)
-
-
-def _plan_of(job: Job, files: Sequence[int]) -> OutputPlan:
+def _plan_of(job: Job) -> OutputPlan:
     points, parts = {}, []
-    for file in files:
-        mode = mode_of_file(job, file)
+    for file, reader in enumerate(job.collection.readers):
+        if not reader.writes_parts:
+            continue
+        mode = _mode_of_file(job, file)
         firsts = (0,) * len(mode.formats)
         count = mode.reader.description.point_count
-        for start in range(0, count, 2 * BATCH):
-            rows = range(start, min(start + 2 * BATCH, count))
+        for start in range(0, count, 2 * DEFAULT_BATCH):
+            rows = range(start, min(start + 2 * DEFAULT_BATCH, count))
             parts.append(OutputPart(file, rows, firsts))
             firsts = tuple(map(sum, zip(firsts, mode.counts(rows), strict=True)))
         points[file] = firsts
-    return OutputPlan(points, tuple(parts), job.configuration.output.model_dump_json())
+    return OutputPlan(points, tuple(parts))
 
 
-def _kept(plan: OutputPlan, writers: Sequence[PartWriter]) -> dict[str, Any]:
+def _kept(job: Job, plan: OutputPlan, writers: Sequence[PartWriter]) -> dict[str, Any]:
     """Return what is kept of a plan whose outputs were created.
 
     It is compared with what is wanted, and never believed.
     """
     paths = [writer.path for writer in writers]
     sizes = [path.stat().st_size if path.is_file() else None for path in paths]
-    return plan.to_json() | {"sizes": sizes}
+    points = [[file, list(counts)] for file, counts in plan.points.items()]
+    mode = job.configuration.output.model_dump_json()
+    return {"points": points, "mode": mode, "sizes": sizes}
 
 
 def _writers(job: Job, plan: OutputPlan, file: int) -> list[PartWriter]:
     counts = plan.points[file]
     paths = growing_outputs(job, file, len(counts))
-    formats = mode_of_file(job, file).formats
+    formats = _mode_of_file(job, file).formats
     return [
         each.part_writer(path, count)
         for each, path, count in zip(formats, paths, counts, strict=True)
@@ -225,13 +138,13 @@ def write_part(job: Job, number: int) -> TaskReport:
     """Write one part of the outputs, and keep its summaries."""
     plan = _plan(job)
     part = plan.parts[number]
-    mode = mode_of_file(job, part.file)
+    mode = _mode_of_file(job, part.file)
     with ExitStack() as stack:
         outputs = [
             stack.enter_context(writer.open_part(first))
             for writer, first in zip(_writers(job, plan, part.file), part.firsts, strict=True)
         ]
-        for batch in mode.reader.batches(BATCH, part.rows):
+        for batch in mode.reader.batches(DEFAULT_BATCH, part.rows):
             for output, records in zip(outputs, mode.records(batch), strict=True):
                 output.write(records)
         for output in outputs:
@@ -247,15 +160,13 @@ def file_of_part(job: Job, number: int) -> int:
 
 
 def _plan(job: Job) -> OutputPlan:
-    path = job.root / PARTS_FILE
-    return _opened_plan(path, path.stat().st_mtime_ns)
+    return _planned(str(job.root), (job.root / PARTS_FILE).stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=2)
-def _opened_plan(path: Path, changed: int) -> OutputPlan:
-    """Read the plan, once for all parts that a process writes."""
-    del changed
-    return OutputPlan.from_json(read_sealed(path))
+def _planned(folder: str, _changed: int) -> OutputPlan:
+    """Return the plan, made once for all parts that a process writes."""
+    return _plan_of(Job.open(folder))
 
 
 def _summaries(job: Job, plan: OutputPlan, number: int) -> list[PartSummary] | None:
@@ -278,7 +189,7 @@ def _summaries(job: Job, plan: OutputPlan, number: int) -> list[PartSummary] | N
     return summaries if counts == plan.counts(number) else None
 
 
-def mode_of_file(job: Job, file: int) -> OutputMode:
+def _mode_of_file(job: Job, file: int) -> OutputMode:
     """Return how the points of a file of the map go into its outputs, by the job's labels."""
     output, reader = job.configuration.output, job.collection.readers[file]
     first_row = job.collection.first_rows[file]

@@ -3,7 +3,7 @@
 A task writes its files under temporary names, flushes and renames them, and writes its marker last.
 A marker names the key of the run, a hash of input and configuration: work of another run is never
 taken for this one's. So a run killed at any moment goes on with the tasks that have no marker. It
-names all that the task wrote as well, each with a checksum: see `pipeline.tiles.verifying`.
+names all that the task wrote as well, each with a checksum: see `pipeline.work.opening`.
 """
 
 import os
@@ -17,9 +17,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pipeline.errors import WorkError
-from pipeline.tiles.sealed import read_sealed, write_sealed
-from pipeline.work.array_file import map_array, read_arrays, write_arrays
+from pipeline.work.files import map_array, read_arrays, read_if_whole, write_arrays, write_sealed
 from tiling.atomic import atomic_file
 from tiling.ledger import Written
 
@@ -110,12 +108,9 @@ class WorkFolder:
 
     def marker(self, path: Path) -> Marker | None:
         """Return what a marker of this run says; None where there is none that is whole."""
+        stored = read_if_whole(path)
         try:
-            stored = read_sealed(path)
-        except WorkError:
-            return None
-        try:
-            if stored["key"] != self.key:
+            if stored is None or stored["key"] != self.key:
                 return None
             report = stored["report"]
             return Marker(

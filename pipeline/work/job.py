@@ -10,12 +10,12 @@ from pathlib import Path
 from dynahull.clustering import Clusters
 from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
-from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.units import open_collection
-from pipeline.work.array_file import read_arrays
+from pipeline.work.files import read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunk_store import ChunkStore
+from tiling.chunks import has_chunk
 from tiling.collection import MapCollection
 from tiling.kept_points import KeptPoints
 
@@ -125,6 +125,12 @@ class Job:
     def finite_count(self) -> int:
         """Points of the map that take part, and are in tiles."""
         return int(self.store.layout.counts.sum())
+
+    def needs_pieces(self, stage: str) -> bool:
+        """Tell whether a stage that gathers chunks from the pieces has any to gather yet."""
+        tiles = range(len(self.store.layout))
+        undone = any(self.work.report(stage, tile) is None for tile in tiles)
+        return undone and not all(has_chunk(self.store, tile) for tile in tiles)
 
     def rows_path(self, name: str) -> Path:
         """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""

@@ -1,20 +1,29 @@
-"""The work of a run: gone on with where map and configuration are the same, or begun anew."""
+"""The work of a run: gone on with where map and configuration are the same, or begun anew.
+
+What an earlier run left is looked through first. Files may have been damaged meanwhile: cut short,
+emptied, removed, or changed by a bit. Each marker knows what its task wrote; where that is not
+there as it was, the marker is removed, and the task is done again. As tasks are pure functions,
+what other tasks made of its files stays valid. What the rest of the run does not need is not looked
+at: pieces and chunks, once all points are further on.
+"""
 
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.configuration.run import Configuration
-from pipeline.errors import WorkError
 from pipeline.progress import StageObserver
-from pipeline.tiles.sealed import read_sealed
-from pipeline.tiles.verifying import verify_work
-from pipeline.work.folder import is_self_contained, remove_work
-from pipeline.work.job import JOB_FILE, Job
+from pipeline.work.files import read_if_whole
+from pipeline.work.folder import is_self_contained, remove, remove_work
+from pipeline.work.job import CHUNKS_FOLDER, CREATING, FITTING, JOB_FILE, PLANNING, Job
 from pipeline.work.map_state import MapState
+from tiling.ledger import Written
+
+_NAMED = 3
+"""Damaged files that a warning names."""
 
 _COMPUTING = ("dynahull-pipeline", "numpy", "scikit-learn", "numba")
 """What other versions of might compute other bits."""
@@ -63,16 +72,14 @@ def open_job(
         remove_work(work)
         work.mkdir()
     job.save()
-    verify_work(job, observer, stage)
+    _Verification(job, observer, stage).all()
     return job
 
 
 def _is_of_another(work: Path, key: str) -> bool:
     """Tell whether work says that it is not of this run; each of its markers says so as well."""
-    try:
-        return bool(read_sealed(work / JOB_FILE)["key"] != key)
-    except WorkError:
-        return False
+    stored = read_if_whole(work / JOB_FILE)
+    return bool(stored is not None and stored["key"] != key)
 
 
 def job_key(digest: str, configuration: Configuration) -> str:
@@ -82,3 +89,97 @@ def job_key(digest: str, configuration: Configuration) -> str:
     decisive["output"] = {"labels": output.needs_scores, "report": output.report}
     text = json.dumps([[*map(version, _COMPUTING)], digest, decisive], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+class _Verification:
+    """One look through a work folder: markers go of tasks whose files are not as they were written.
+
+    Parameters
+    ----------
+    job : Job
+        Saved, and not begun or gone on with yet.
+    observer : StageObserver
+        Told of damage.
+    stage : str
+        That gathers the chunks of tiles: `ground` or `chunk`.
+    """
+
+    def __init__(self, job: Job, observer: StageObserver, stage: str) -> None:
+        self._job = job
+        self._work = job.work
+        self._observer = observer
+        self._stage = stage
+        self._chunks: dict[Path, Written] = {}
+        self._damaged: set[str] = set()
+
+    def all(self) -> None:
+        """Look through all that the rest of the run needs."""
+        steps = [self._work.step_path(step) for step in (PLANNING, FITTING, CREATING)]
+        self._check([path for path in steps if path.exists()])
+        for stage in ("ground", "density", "evidence", "label", "write"):
+            self._check(self._markers(stage), lambda each: not self._is_chunk(each))
+        cut_again = not self._check_chunks()
+        decoded = self._job.decoded
+        if decoded is None or decoded.has_records or cut_again:
+            self._check(self._markers("survey"))
+        else:  # coordinates, of which all that is needed is cut
+            self._check(self._markers("survey"), lambda each: each.path != decoded.path)
+        if self._damaged:
+            named = ", ".join(sorted(self._damaged)[:_NAMED])
+            more = len(self._damaged) - _NAMED
+            self._observer.warn(
+                f"{self._work.root}: not as it was written: {named}"
+                f"{f' and {more} more' if more > 0 else ''}; what is missing is made again"
+            )
+
+    def _check_chunks(self) -> bool:
+        """Look through chunks and pieces; tell whether all that is needed of them is there."""
+        root = self._work.root
+        if not self._work.has_done(PLANNING):  # they are of no use without
+            for name in (CHUNKS_FOLDER, "cut", "chunk"):
+                remove(root / name)
+            return False
+        self._check(self._markers("chunk"))
+        layout, store = self._job.store.layout, self._job.store
+        if all(self._work.report(self._stage, tile) for tile in range(len(layout))):
+            return True
+        for path in (store.folder / "chunks").glob("*"):
+            chunk = self._chunks.get(path)
+            if chunk is None or not chunk.is_intact():
+                remove(path)
+        if not self._job.needs_pieces(self._stage):
+            return True
+        self._check(self._markers("cut"))
+        done = [self._work.report("cut", part) for part in range(len(self._job.cut_ranges))]
+        whole = {store.piece_path(part) for part, report in enumerate(done) if report}
+        for path in set((store.folder / "pieces").glob("*")) - whole:
+            remove(path)
+        return all(done)
+
+    def _markers(self, stage: str) -> list[Path]:
+        return list((self._work.root / stage).glob("[!.]*.done"))
+
+    def _is_chunk(self, written: Written) -> bool:
+        return written.path.parent == self._work.root / CHUNKS_FOLDER / "chunks"
+
+    def _check(
+        self, markers: Sequence[Path], matters: Callable[[Written], bool] = lambda each: True
+    ) -> None:
+        """Remove markers that are damaged, or whose files are."""
+        for path in markers:
+            damaged = self._looked_at(path, matters)
+            self._damaged.update(str(each.relative_to(self._work.root)) for each in damaged)
+            if damaged:
+                remove(path)
+            for each in damaged:
+                if each.is_dir():  # nothing could be put in its place
+                    remove(each)
+
+    def _looked_at(self, path: Path, matters: Callable[[Written], bool]) -> list[Path]:
+        """Return what is damaged: the marker, or files that it knows."""
+        marker = self._work.marker(path)
+        if marker is None:
+            return [path]
+        self._chunks |= {each.path: each for each in marker.written if self._is_chunk(each)}
+        written = filter(matters, marker.written)
+        return [each.path for each in written if not each.is_intact()]

@@ -6,24 +6,12 @@ thousand tiles holds no graph of itself.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
-from operator import length_hint
 from time import monotonic
 from typing import Any, Protocol
 
-from pipeline.tiles.local_dask import site_settings_aside, start_local_cluster
 from pipeline.work.folder import TaskReport
-from pipeline.workers.fork_server import start_fork_server, stop_fork_server
-
-IN_FLIGHT_PER_WORKER = 2
-"""Tasks handed to the scheduler for each worker: one that runs, and one that waits."""
-
-_LONG = 1.0
-"""Seconds from which on a task is handed out only when a worker is free, as the last ones always
-are: one that waits at a worker is not done by another that has nothing left to do."""
 
 _COUNT_EVERY = 5.0
 """Seconds between two counts of the workers: asking the scheduler costs more than a task."""
@@ -88,25 +76,6 @@ class InProcess:
             return _failure(error)
 
 
-class Starting:
-    """Runs tasks on workers that are being started, once they are there.
-
-    Parameters
-    ----------
-    workers : int
-    started : Future
-        What runs tasks on them.
-    """
-
-    def __init__(self, workers: int, started: "Future[Executor]") -> None:
-        self.workers = workers
-        self._started = started
-
-    def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
-        """Do the tasks on the workers."""
-        yield from self._started.result().run(task, folder, numbers)
-
-
 class OnDask:
     """Runs tasks on the workers of a Dask scheduler.
 
@@ -125,23 +94,18 @@ class OnDask:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def run(self, task: Task, folder: str, numbers: Iterable[int]) -> Iterator[tuple[int, Outcome]]:
-        """Do the tasks, a sliding window of them at a time."""
-        from dask.utils import key_split  # noqa: PLC0415 (a second of import time)
-        from distributed import as_completed  # noqa: PLC0415
+        """Do the tasks, one at a time for each worker: none waits at one that is busy."""
+        from distributed import as_completed  # noqa: PLC0415 (a second of import time)
 
         waiting = iter(numbers)
         flying: dict[Any, int] = {}
         completed = as_completed(loop=self._client.loop)
         workers, counted = 0, -_COUNT_EVERY
-        seconds = _LONG  # of the latest task; what the first will take is not known
         ready: list[tuple[int, Outcome]] = []
         while True:
             if monotonic() - counted >= _COUNT_EVERY:
                 workers, counted = self.workers, monotonic()
-                key_split.cache_clear()  # it holds the names of the last 100,000 tasks
-            last = length_hint(waiting, workers + 1) <= workers  # more, where it is not known
-            window = workers if last or seconds >= _LONG else IN_FLIGHT_PER_WORKER * workers
-            while len(flying) < window and (number := next(waiting, None)) is not None:
+            while len(flying) < workers and (number := next(waiting, None)) is not None:
                 future = self._client.submit(
                     _guarded, task, folder, number, pure=False, retries=RETRIES
                 )
@@ -156,7 +120,6 @@ class OnDask:
             outcome = future.result() if finished else _failure(future.exception())
             future.release()
             del future
-            seconds = outcome.seconds if isinstance(outcome, TaskReport) else seconds
             ready = [(number, outcome)]
 
 
@@ -186,33 +149,3 @@ def _reason(error: BaseException | None) -> str:
     if name == "FutureCancelledError":
         return "the connection to the scheduler was lost"
     return " ".join(str(error).split()) or name
-
-
-@contextmanager
-def local_workers(workers: int, memory: int) -> Iterator[Executor]:
-    """Start workers on this machine, one process with one thread each, and do not wait for them.
-
-    Parameters
-    ----------
-    workers : int
-    memory : int
-        Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
-    """
-    with site_settings_aside(), _fork_server():
-        # Not in that thread: what this one imports meanwhile would hold it up.
-        import_module("distributed")
-        with ExitStack() as cluster, ThreadPoolExecutor(1) as thread:
-
-            def start() -> Executor:
-                return OnDask(start_local_cluster(workers, memory, cluster))
-
-            yield Starting(workers, thread.submit(start))
-
-
-@contextmanager
-def _fork_server() -> Iterator[None]:
-    start_fork_server()
-    try:
-        yield
-    finally:
-        stop_fork_server()

@@ -2,24 +2,25 @@
 
 import logging
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
-from pipeline.tiles.local_dask import site_settings_aside
+from dynahull import ground, kernels
+from dynahull.compilation import is_compiled
+from dynahull.ground.slope import compile_once
+from dynahull.kernels.compilation import kernels as compiled_kernels
+from pipeline.workers.local_dask import site_settings_aside
 
-_NEEDED = ("distributed.nanny", "lazrs", "pyarrow.parquet", "pipeline.tiles.stages")
-
-
-def _load() -> None:
-    """Import what tasks use, and load the compiled code that is kept."""
-    with site_settings_aside():
-        for name in _NEEDED:
-            import_module(name)
-    import_module("dynahull.loading").load_compiled()
-    # Else workers, which take this over, tell how they start and stop.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    # The first conversion imports pandas, where that is installed.
-    import_module("pyarrow").array(np.empty(0))
-
-
-_load()
+with site_settings_aside():
+    import_module("distributed.nanny")
+import_module("pipeline.tiles.stages")
+# What is not compiled yet, is when it is needed.
+for package, load in ((ground, compile_once), (kernels, compiled_kernels)):
+    if is_compiled(Path(str(package.__file__)).parent):
+        load()
+# Else workers, which take this over, tell how they start and stop.
+logging.getLogger("distributed").setLevel(logging.CRITICAL)
+# The first conversion imports pandas, where that is installed.
+pa.array(np.empty(0))

@@ -8,7 +8,7 @@ import pytest
 
 import dynahull
 from dynahull import DynaHull, InvalidParametersError, InvalidPointsError, MethodParameters, clean
-from dynahull.ready import READY
+from dynahull.parameters import READY
 from pipeline.configuration.run import load_configuration, ready_configurations
 
 POINTS = np.random.default_rng(0).normal(size=(300, 3))

@@ -9,7 +9,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from dynahull import DynaHull, MethodParameters, clean
 from dynahull.errors import InvalidParametersError, InvalidPointsError
-from dynahull.ready import READY
+from dynahull.parameters import READY
 
 OTHER_THAN_THREE = {
     "check_estimators_overwrite_params": 2,

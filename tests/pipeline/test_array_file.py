@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays, scalar_dtypes
 
 from pipeline.errors import WorkError
-from pipeline.work.array_file import map_array, read_arrays, write_arrays
+from pipeline.work.files import map_array, read_arrays, write_arrays
 
 KINDS = scalar_dtypes().filter(lambda kind: kind.kind not in "Mm")
 

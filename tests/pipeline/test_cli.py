@@ -50,8 +50,6 @@ def test_help_answers_at_once():
             "from pipeline.commands.app import app; app(['run', '--help'], standalone_mode=False)",
             {"numpy", "scipy", "sklearn", "numba", "pyarrow", "laspy", "yaml"},
         ),
-        # Until workers are being started: they import the same, side by side with this process.
-        ("import pipeline.run", {"scipy", "sklearn", "numba", "pyarrow", "distributed"}),
     ],
 )
 def test_what_is_heavy_is_imported_when_it_is_needed(code, heavy):

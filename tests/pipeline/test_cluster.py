@@ -13,11 +13,14 @@ from distributed import Client, LocalCluster, Security
 
 from pipeline.cluster import record
 from pipeline.cluster.batch_systems import Phase, batch_system
-from pipeline.cluster.cancelling import cancel_run
-from pipeline.cluster.security import cluster_security, scheduler_security
 from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
-from pipeline.cluster.submitting import run_script, submit_run
-from pipeline.cluster.workers import worker_job, worker_keywords
+from pipeline.cluster.submitting import cancel_run, run_script, submit_run
+from pipeline.cluster.workers import (
+    cluster_security,
+    scheduler_security,
+    worker_job,
+    worker_keywords,
+)
 from pipeline.commands import app as cli
 from pipeline.configuration.cluster import BATCH_SYSTEMS
 from pipeline.configuration.run import load_configuration
@@ -449,16 +452,20 @@ class TestTLS:
 
     def test_none_is_the_default(self):
         tls = configured("slurm").cluster.tls
-        assert cluster_security(tls) is None
+        assert cluster_security(tls, {}) is None
         assert scheduler_security(tls, "tcp://10.0.0.1:8786") is None
 
-    def test_a_key_is_made_where_none_is_given(self):
-        security = cluster_security(configured("slurm", "cluster.tls.enabled=true").cluster.tls)
+    def test_a_key_is_made_where_none_is_given(self, tmp_path):
+        keys = {name: tmp_path / name for name in ("ca_file", "certificate", "key")}
+        tls = configured("slurm", "cluster.tls.enabled=true").cluster.tls
+        security = cluster_security(tls, keys)
         assert security.require_encryption
-        assert "PRIVATE KEY" in security.tls_worker_key
+        assert security.tls_worker_key == str(keys["key"])
+        assert "PRIVATE KEY" in keys["key"].read_text(encoding="ascii")
+        assert keys["key"].stat().st_mode & 0o777 == 0o600
 
     def test_a_scheduler_that_is_running_is_reached_with_its_files_only(self, files):
-        security = cluster_security(self.parameters(files))
+        security = cluster_security(self.parameters(files), {})
         with LocalCluster(
             n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
             protocol="tls://", security=security,
@@ -479,7 +486,7 @@ class TestTLS:
     def test_a_file_that_is_not_there_is_named(self, files):
         files["key"].unlink()
         with pytest.raises(ConfigurationError, match=r"cluster\.tls\.key: .*key\.pem: expected"):
-            cluster_security(self.parameters(files))
+            cluster_security(self.parameters(files), {})
 
 
 def test_a_run_in_its_job_alone_has_workers_on_its_cores(commands, map_file):

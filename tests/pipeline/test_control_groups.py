@@ -1,11 +1,8 @@
 """Limits of control groups, in trees as systems lay them."""
 
-import os
-
 import pytest
 
-from pipeline.control_groups import memory_left, processors
-from pipeline.plan.machine import available_cores, available_memory
+from pipeline.plan.machine import available_memory, memory_left
 
 GIB = 1 << 30
 UNLIMITED = 9223372036854771712
@@ -136,47 +133,8 @@ def test_no_more_memory_is_left_than_the_machine_has(tmp_path):
     assert available_memory(root) == 64 * GIB
 
 
-def quota(place, words):
-    return {f"sys/fs/cgroup/{place}/cpu.max": words}
-
-
-PROCESSORS = {
-    "two": ("0::/a", [SECOND.format(root="/")], quota("a", "200000 100000"), 2),
-    "one and a half": ("0::/a", [SECOND.format(root="/")], quota("a", "150000 100000"), 2),
-    "a tenth": ("0::/a", [SECOND.format(root="/")], quota("a", "10000 100000"), 1),
-    "above": (
-        "0::/a/b", [SECOND.format(root="/")],
-        quota("a", "100000 100000") | quota("a/b", "max 100000"), 1,
-    ),
-    "unlimited": ("0::/a", [SECOND.format(root="/")], quota("a", "max 100000"), None),
-    "first": (
-        "4:cpu,cpuacct:/a/b", [FIRST.format(root="/", name="cpu")],
-        {
-            "sys/fs/cgroup/cpu/a/cpu.cfs_quota_us": 300000,
-            "sys/fs/cgroup/cpu/a/cpu.cfs_period_us": 100000,
-            "sys/fs/cgroup/cpu/a/b/cpu.cfs_quota_us": -1,
-            "sys/fs/cgroup/cpu/a/b/cpu.cfs_period_us": 100000,
-        }, 3,
-    ),
-    "first, nothing": ("4:cpu:/", [FIRST.format(root="/", name="cpu")], {}, None),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", PROCESSORS)
-def test_the_smallest_quota_counts(case, tmp_path, monkeypatch):
-    group, mounts, files, count = PROCESSORS[case]
-    root = lay(tmp_path, group, mounts, files)
-    assert processors(root) == count
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(16)))
-    assert available_cores("auto", root) == (count or 16)
-    assert available_cores(5, root) == 5
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
-    assert available_cores("auto", root) == 1
-
-
 @pytest.mark.parametrize("text", ["", "::", "nonsense", "0::", "\x00"])
 def test_what_cannot_be_understood_is_no_limit(text, tmp_path):
-    files = dict.fromkeys(second("", ""), text) | quota(".", text)
+    files = dict.fromkeys(second("", ""), text)
     root = lay(tmp_path, text, [SECOND.format(root="/"), "- cgroup"], files)
     assert memory_left(root) is None
-    assert processors(root) is None

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import OutputError
-from pipeline.outputs.folder import folder_is_locked, locked_folder
-from pipeline.outputs.folder_lock import LOCK_FILE
+from pipeline.outputs.folder_lock import LOCK_FILE, folder_is_locked, locked_folder
 
 
 @pytest.fixture(params=["folders", "files", "nothing"])

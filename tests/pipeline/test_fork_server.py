@@ -5,16 +5,10 @@ import os
 import subprocess
 import sys
 
-import pytest
-
-from pipeline.workers.fork_server import START_METHOD
-
-pytestmark = pytest.mark.skipif(START_METHOD != "forkserver", reason="forks on Linux only")
-
 PREAMBLE = """
 import json, os, sys, time
 from pathlib import Path
-from pipeline.workers.fork_server import start_fork_server
+from pipeline.workers.local_dask import local_workers, start_fork_server
 import numpy as np
 
 def children():
@@ -47,7 +41,6 @@ fcntl.flock(lock, fcntl.LOCK_EX)
 start_fork_server()
 os.close(lock)
 
-from pipeline.workers.executors import local_workers
 from pipeline.work.folder import TaskReport
 
 def held():
@@ -86,32 +79,6 @@ def test_workers_have_one_thread_no_lock_and_keep_what_is_freed(tmp_path, monkey
     assert found["kept"] < 75_000_000  # these settings are for workers only
 
 
-def test_the_server_ends_with_its_workers_and_another_takes_its_place():
-    found = said(
-        PREAMBLE
-        + """
-from multiprocessing import forkserver
-from pipeline.workers.executors import local_workers
-from pipeline.work.folder import TaskReport
-
-def done(folder, number):
-    return TaskReport(number)
-
-servers = []
-for number in range(3):
-    start_fork_server()
-    servers.append(forkserver._forkserver._forkserver_pid)
-    with local_workers(1, 3 << 30) as executor:
-        assert [report.points for _, report in executor.run(done, "", [number])] == [number]
-until = time.monotonic() + 60
-while set(servers) & set(children()) and time.monotonic() < until:
-    time.sleep(0.01)
-print(json.dumps([len(set(servers)), len(set(servers) & set(children()))]))
-"""
-    )
-    assert found == [3, 0]
-
-
 def test_what_lies_in_the_current_folder_is_not_imported(tmp_path):
     hostile, installed = tmp_path / "hostile", tmp_path / "bin"
     hostile.mkdir()
@@ -120,12 +87,11 @@ def test_what_lies_in_the_current_folder_is_not_imported(tmp_path):
     for name in names:
         (hostile / f"{name}.py").write_text("open('imported', 'w').write(__name__)\n")
     program = """
-from pipeline.workers.executors import local_workers
+from pipeline.workers.local_dask import local_workers
 from pipeline.work.folder import TaskReport
 if __name__ == "__main__":
     with local_workers(1, 3 << 30) as executor:
         print(list(executor.run(TaskReport, "", [])))
-        executor._started.result()
 """
     (installed / "program").write_text(program)  # as a command is, which has no -P
     subprocess.run(

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import duplicates
-from pipeline.duplicates import DuplicateCounter
-from pipeline.info import inspect_map
+from pipeline import info
+from pipeline.info import DuplicateCounter, inspect_map
 from tiling.errors import MapFormatError
 
 
@@ -54,7 +53,7 @@ def test_duplicates_are_the_same_through_files(monkeypatch, held):
     points = np.random.default_rng(held).integers(-2, 3, (400, 3)) * 0.5
     batches = np.array_split(points, 9)
     in_memory = count_duplicates(batches)
-    monkeypatch.setattr(duplicates, "_IN_MEMORY", held)
+    monkeypatch.setattr(info, "_IN_MEMORY", held)
     assert count_duplicates(batches) == in_memory == 400 - len(np.unique(points, axis=0))
 
 

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import textwrap
-from contextlib import ExitStack
 from copy import deepcopy
 
 import dask
@@ -14,8 +13,7 @@ from distributed import LocalCluster
 
 from pipeline.errors import ConfigurationError
 from pipeline.temporary import temporary_folder
-from pipeline.tiles.local_dask import site_settings_aside, start_local_cluster
-from pipeline.workers.fork_server import start_fork_server, stop_fork_server
+from pipeline.workers.local_dask import local_client, site_settings_aside
 
 NOBODY = 65534
 
@@ -66,13 +64,8 @@ def as_another_user(program, *arguments):
 
 @pytest.fixture(scope="module")
 def client():
-    with site_settings_aside(), ExitStack() as stack:
-        start_fork_server()
-        stack.callback(stop_fork_server)
-        with ExitStack() as cluster:
-            client = start_local_cluster(1, 1 << 30, cluster)
-            client.wait_for_workers(1)
-            yield client
+    with site_settings_aside(), local_client(1, 1 << 30) as client:
+        yield client
 
 
 def addresses(client):
@@ -119,7 +112,7 @@ def test_only_this_machine_may_knock(client):
     assert {place.ip for place in listening(client)} == {"127.0.0.1"}
 
 
-def test_keys_are_on_no_disk_and_nobody_else_may_look(client):
+def test_keys_stay_on_no_disk_and_nobody_else_may_look(client):
     folder = temporary_folder()
     assert folder.stat().st_mode & 0o777 == 0o700
     kept = [path for path in folder.rglob("*") if path.is_file()]
@@ -155,7 +148,7 @@ SITE = {
 
 RUN = """
 import os
-from pipeline.workers.executors import local_workers
+from pipeline.workers.local_dask import local_workers
 from pipeline.work.folder import TaskReport
 
 def task(folder, number):
@@ -191,7 +184,9 @@ def test_the_settings_of_a_site_do_not_reach_our_workers(tmp_path):
 
 def test_settings_that_cannot_be_read_are_named(tmp_path):
     (tmp_path / "dask.yaml").write_text("a: [", encoding="utf-8")
-    program = "from pipeline.workers.executors import local_workers\nwith local_workers(2, 9): pass"
+    program = (
+        "from pipeline.workers.local_dask import local_workers\nwith local_workers(2, 9): pass"
+    )
     done = subprocess.run(
         [sys.executable, "-c", program], env={**os.environ, "DASK_CONFIG": str(tmp_path)},
         capture_output=True, text=True, timeout=300, check=False,

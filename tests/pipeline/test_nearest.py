@@ -1,16 +1,13 @@
 """The nearest points met so far are those that a look at all points at once would find."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.reference.neighbours import nearest_neighbours
-from pipeline.tiles import nearest
 from pipeline.tiles.nearest import FreePoints, NearestSoFar
 
 
-@pytest.mark.parametrize("most_without_tree", [0, 10**9])
 @settings(deadline=None, max_examples=40)
 @given(
     st.integers(0, 2**32 - 1),
@@ -20,9 +17,7 @@ from pipeline.tiles.nearest import FreePoints, NearestSoFar
     st.sampled_from([0.0, 1e6 + 0.1]),
     st.booleans(),
 )
-def test_parts_offered_one_after_the_other(
-    most_without_tree, seed, k, count, gridded, shift, reach_known
-):
+def test_parts_offered_one_after_the_other(seed, k, count, gridded, shift, reach_known):
     random = np.random.default_rng(seed)
     xyz = random.normal(size=(count, 3))
     xyz = (np.round(xyz, 0) if gridded else xyz) + shift
@@ -34,10 +29,8 @@ def test_parts_offered_one_after_the_other(
         farthest = points.xyz[expected[:, -1]]
         reach = np.linalg.norm(farthest - centres, axis=1)
     search = NearestSoFar(centres, k, reach)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nearest, "_MOST_WITHOUT_TREE", most_without_tree)
-        for part in np.array_split(np.arange(count), 4):
-            search.offer(points.select(part), np.arange(5))
+    for part in np.array_split(np.arange(count), 4):
+        search.offer(points.select(part), np.arange(5))
     low, high = search.bounds()
     for slot, found in search.neighbourhoods():
         np.testing.assert_array_equal(found.rows, points.rows[expected[slot]])

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.configuration.quantities import in_home
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
-from pipeline.home import in_home, user_name
+from pipeline.nightly.install import user_name
 from pipeline.outputs import folder_lock
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run

@@ -124,7 +124,7 @@ def hall_file(path):
 
 @pytest.mark.parametrize("kind", [".las", ".laz", ".pcd", ".npy", ".parquet"])
 def test_tiles_make_the_bytes_that_one_tile_makes(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(writing, "BATCH", 300)
+    monkeypatch.setattr(writing, "DEFAULT_BATCH", 300)
     source = hall_file(tmp_path / f"hall{kind}")
     for folder, tiles in (("one", ONE_TILE), ("many", TILES)):
         cleaned([source], tmp_path / folder, tiles)
@@ -144,7 +144,7 @@ def score_of(path):
 @pytest.mark.parametrize("kind", [".las", ".laz", ".pcd", ".ply", ".npz", ".parquet"])
 @pytest.mark.parametrize("tiles", [ONE_TILE, TILES])
 def test_where_evidence_is_weighed_the_score_is_there_too(tmp_path, kind, tiles, monkeypatch):
-    monkeypatch.setattr(writing, "BATCH", 300)
+    monkeypatch.setattr(writing, "DEFAULT_BATCH", 300)
     source = hall_file(tmp_path / f"hall{kind}")
     cleaned([source], tmp_path / "out", "removal.decision=auto", tiles)
     labelled = tmp_path / "out" / f"labelled{kind}"

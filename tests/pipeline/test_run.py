@@ -12,9 +12,9 @@ from dynahull import Label, clean
 from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import DiskSpaceError, InputChangedError, LostPointsError, OutputError
+from pipeline.outputs import writing
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.tiles import writing
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 

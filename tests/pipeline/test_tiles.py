@@ -18,7 +18,6 @@ from pipeline.configuration.run import load_configuration
 from pipeline.places import DecisionSums
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.tiles import density
 from tiling.collection import MapCollection
 from tiling.errors import GridError
 
@@ -197,14 +196,6 @@ def test_ties_at_a_border_go_to_the_lower_row_whichever_side_it_is_on(tmp_path):
     _, table, chunks = tiled([tmp_path / "map.npy"], tmp_path / "out", 64, "tiling.halo=0", *wanted)
     assert len(chunks) == 12
     assert_same(table, in_memory([tmp_path / "map.npy"], *wanted))
-
-
-def test_more_tiles_than_files_can_be_looked_into_at_a_time(room_file, tmp_path, monkeypatch):
-    _, expected, _ = tiled([room_file], tmp_path / "all", 500)
-    monkeypatch.setattr(density, "_MOST_MAPPED", 2)
-    _, found, chunks = tiled([room_file], tmp_path / "few", 500)
-    assert len(chunks) > 2
-    assert_same_tables(found, expected)
 
 
 def test_the_reference_device_says_the_same_over_tiles(tmp_path):

@@ -138,7 +138,7 @@ def killed(request, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
-        patch.setattr("pipeline.tiles.writing.BATCH", 100)
+        patch.setattr("pipeline.tiles.writing.DEFAULT_BATCH", 100)
         cleaned(map_file, place / "whole", wanted)
         patch.setitem(stages.TASKS, stage, killing)
         with pytest.raises(Killed):
@@ -149,7 +149,7 @@ def killed(request, tmp_path_factory):
 @pytest.fixture(autouse=True)
 def small_ranges(monkeypatch):
     monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
-    monkeypatch.setattr("pipeline.tiles.writing.BATCH", 100)
+    monkeypatch.setattr("pipeline.tiles.writing.DEFAULT_BATCH", 100)
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

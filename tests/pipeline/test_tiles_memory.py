@@ -17,7 +17,7 @@ from pipeline.run import run
 from pipeline.tiles import stages
 from pipeline.tiles.borders import Region
 from pipeline.tiles.division import SIDES, divided
-from pipeline.workers.executors import local_workers
+from pipeline.workers.local_dask import local_workers
 
 # Workers cannot import the tests: what these hand them is sent whole.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

@@ -20,8 +20,8 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.status import status_text
 from pipeline.tiles import stages
-from pipeline.tiles.sealed import read_sealed, write_sealed
 from pipeline.work import opening
+from pipeline.work.files import read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
 from pipeline.work.job import CREATING
 from tiling.errors import MapFormatError, TilingError
@@ -316,7 +316,7 @@ def test_a_map_that_is_changed_and_put_back_around_a_kill_is_not_mixed(
         return task(job, number) if when == "before" else report
 
     monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 400)
-    monkeypatch.setattr("pipeline.tiles.writing.BATCH", 200)
+    monkeypatch.setattr("pipeline.tiles.writing.DEFAULT_BATCH", 200)
     with monkeypatch.context() as patch:
         patch.setitem(stages.TASKS, stage, meddling)
         with pytest.raises((Killed, InputChangedError)):
@@ -359,7 +359,7 @@ def test_a_map_that_cannot_be_read_any_more_is_bad_input(map_file, tmp_path, mon
 @pytest.fixture
 def half_written(map_file, tmp_path, monkeypatch):
     """An output folder with the work of a run that failed in the second of its output's parts."""
-    monkeypatch.setattr("pipeline.tiles.writing.BATCH", 100)
+    monkeypatch.setattr("pipeline.tiles.writing.DEFAULT_BATCH", 100)
     fault = Fault(monkeypatch, "write", 1, OSError(5, "Input/output error"))
     with pytest.raises(TasksFailedError):
         cleaned(map_file, tmp_path / "out")
@@ -435,8 +435,8 @@ PLANS = {
     "nothing": lambda kept: "",
     "too deep": lambda kept: "[" * 100_000,
     "another kind": lambda kept: "[]",
-    "no parts": lambda kept: kept | {"parts": []},
-    "other rows": lambda kept: kept | {"parts": kept["parts"][::-1]},
+    "no parts": lambda kept: kept | {"points": []},
+    "other rows": lambda kept: kept | {"points": [[0, [1, 2]]]},
     "other sizes": lambda kept: kept | {"sizes": [1, 2]},
 }
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.tiles.vicinity import Vicinity
+from pipeline.tiles.nearest import Vicinity
 
 
 @settings(deadline=None, max_examples=200)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pipeline.nightly.results import MapFolder, remove_old_runs
 from pipeline.nightly.settings import Retention
-from pipeline.outputs.folder import locked_folder
+from pipeline.outputs.folder_lock import locked_folder
 
 DAY = 86400.0
 NOW = 1e9 + 100 * DAY

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.nightly.results import tasks_done
-from pipeline.outputs.folder import folder_is_locked
+from pipeline.outputs.folder_lock import folder_is_locked
 
 DAY = 86400.0
 

@@ -13,6 +13,9 @@ from threading import Event, Thread
 from time import monotonic
 from typing import Any
 
+from distributed import Future
+from distributed.core import Status
+
 from pipeline.cluster.batch_systems import BatchSystem, JobState, Phase
 from pipeline.cluster.record import logs_folder, record_workers
 from pipeline.configuration.cluster import ClusterParameters
@@ -30,7 +33,7 @@ _FAILED_STARTS = 3
 """Times that every job in turn may end before a worker came from it."""
 
 
-class Attendance:
+class Supervisor:
     """Watches over the jobs of a cluster's workers, in a thread of its own.
 
     Parameters
@@ -64,7 +67,7 @@ class Attendance:
         self._nobody = True
         self._states: Mapping[str, JobState] = {}
         self._ended = Event()
-        self._thread = Thread(target=self._watch, name="attendance", daemon=True)
+        self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
 
     def begin(self) -> None:
         """Submit the jobs, and wait until the first worker is there.
@@ -160,8 +163,6 @@ class Attendance:
 
     def _remove(self, names: list[str]) -> None:
         """Cancel jobs, and expect no more of them."""
-        from distributed.core import Status  # noqa: PLC0415 (a second of import time)
-
         for name in names:
             # The cluster asks this of every job it ever made, when it closes.
             self._cluster.workers[name].status = Status.closed
@@ -209,8 +210,6 @@ class Attendance:
 
     def _let_go(self) -> None:
         """End what the run waits for: nobody is going to do it."""
-        from distributed import Future  # noqa: PLC0415 (a second of import time)
-
         self._client.cancel([Future(key, self._client) for key in list(self._client.futures)])
 
 

@@ -4,20 +4,20 @@ from types import SimpleNamespace
 
 import pytest
 
-from pipeline.cluster import attendance
-from pipeline.cluster.attendance import Attendance
+from pipeline.cluster import supervisor
 from pipeline.cluster.batch_systems import JobState, Phase
+from pipeline.cluster.supervisor import Supervisor
 from pipeline.configuration.run import load_configuration
 
 
 class Watch:
-    """An attendance of two jobs, whose workers come and go as the test says."""
+    """A supervisor of two jobs, whose workers come and go as the test says."""
 
     def __init__(self, folder, monkeypatch, *settings):
         self.now, self.there = 1_000.0, {"first", "second"}
         self.phase = Phase.RUNNING
         self.removed = []
-        monkeypatch.setattr(attendance, "monotonic", lambda: self.now)
+        monkeypatch.setattr(supervisor, "monotonic", lambda: self.now)
         parameters = load_configuration(
             None, ["cluster.workers=2", "cluster.check_every=1", *settings]
         ).cluster
@@ -27,7 +27,7 @@ class Watch:
         )
         client = SimpleNamespace(scheduler_info=lambda n_workers: {"workers": self.workers()})
         system = SimpleNamespace(name="slurm", states=self.states)
-        self.attendance = Attendance(cluster, client, system, parameters, folder)
+        self.supervisor = Supervisor(cluster, client, system, parameters, folder)
 
     def workers(self):
         return {name: {"name": name} for name in self.there}
@@ -39,7 +39,7 @@ class Watch:
         """Return the jobs that are given up."""
         self.now += seconds
         self.removed.clear()
-        self.attendance._look()
+        self.supervisor._look()
         return self.removed
 
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.removal import remove_least_dense
-from pipeline.tiles import thresholds as selection
+from pipeline.tiles import thresholds
+from pipeline.tiles.order_statistic import order_statistic
 from pipeline.tiles.thresholds import find_cuts
 
 
@@ -19,8 +20,8 @@ class Tile:
     def __init__(self, cluster, density, rows):
         self.cluster, self.density, self.rows = cluster, density, rows
 
-    def ordered(self, cluster):
-        return np.sort(self.density[self.cluster == cluster])
+    def densities(self, cluster):
+        return self.density[self.cluster == cluster]
 
     def rows_at(self, cluster, density):
         return self.rows[(self.cluster == cluster) & (self.density == density)]
@@ -60,7 +61,7 @@ def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
     percentages = [Fraction(int(share), 10) for share in random.integers(0, 1001, count)]
 
     tiles = tiles_of(cluster, density, rows, pieces, seed)
-    with mock.patch.object(selection, "_ROW_BITS", row_bits):
+    with mock.patch.object(thresholds, "_ROW_BITS", row_bits):
         cuts = find_cuts(tiles, counts, percentages, threshold)
 
     for index, cut in enumerate(cuts):
@@ -80,3 +81,19 @@ def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
 def test_no_tiles_and_no_clusters(threshold):
     assert find_cuts([], [], [], threshold) == []
     assert find_cuts([], [0], [Fraction(0)], threshold)[0].density is None
+
+
+@given(
+    st.lists(
+        st.floats(min_value=0, allow_nan=False, allow_infinity=False)
+        | st.sampled_from([0.0, -0.0, 5e-324, 1.0, 1 + 2**-52]),
+        min_size=1,
+        max_size=40,
+    ),
+    st.data(),
+)
+@settings(deadline=None)
+def test_the_number_of_a_rank_is_that_of_a_sort(numbers, data):
+    rank = data.draw(st.integers(0, len(numbers) - 1))
+    batches = np.array_split(np.array(numbers), 3)
+    assert order_statistic(batches, rank) == sorted(numbers)[rank]

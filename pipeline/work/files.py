@@ -1,25 +1,72 @@
-"""Named arrays in one file, which are read back one by one, as fast as the disk gives them.
+"""The files of a work folder: small ones with a checksum, arrays of a task, and values by row.
 
-A file begins with a line of JSON that says of each array its name, type, shape and place; the
-arrays follow as they lie in memory. NumPy's own archive computes a checksum at each reading and
-writing, and copies every array twice.
+A small file is JSON, and tells by its checksum whether it is damaged. A file of arrays begins with
+a line of JSON that says of each array its name, type, shape and place; the arrays follow as they
+lie in memory, and are read back one by one, as fast as the disk gives them: NumPy's own archive
+computes a checksum at each reading and writing, and copies every array twice.
 """
 
 import json
 import math
 import os
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import WorkError
-from pipeline.tiles.sealed import GO_ON
+from tiling.atomic import atomic_file
+from tiling.output_file import create_file, sync, write_only
+
+GO_ON = "the same command makes it again, and goes on"
+"""What to do about work that is damaged."""
+
+_HEAD = b'{"checksum": "%08x", "content": '
+_HEAD_SIZE = len(_HEAD % 0)
+_TAIL = b"}"
 
 _ALIGNMENT = 64
 """Bytes: each array begins at a multiple."""
+
+_AT_A_TIME = 1 << 22
+
+
+def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
+    """Write values to a file that appears whole or not at all."""
+    content = json.dumps(values).encode()
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(_HEAD % zlib.crc32(content) + content + _TAIL)
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """Read what `write_sealed` wrote.
+
+    Raises
+    ------
+    WorkError
+        When the file is not there, or not as it was written.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise WorkError(f"{path}: expected a file of a run's work, found {reason}") from error
+    content = data[_HEAD_SIZE : -len(_TAIL)]
+    if data != _HEAD % zlib.crc32(content) + content + _TAIL:
+        raise WorkError(f"{path}: expected a file of a run's work, found a damaged one; {GO_ON}")
+    values: dict[str, Any] = json.loads(content)
+    return values
+
+
+def read_if_whole(path: Path) -> dict[str, Any] | None:
+    """Read what `write_sealed` wrote; None where it is not there, or not as it was written."""
+    try:
+        return read_sealed(path)
+    except WorkError:
+        return None
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -119,3 +166,31 @@ def _read(stream: BinaryIO, start: int, kind: np.dtype[Any], shape: list[int]) -
 
 def _padded(size: int) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT
+
+
+def make_rows(path: Path, count: int, dtype: DTypeLike, value: float) -> None:
+    """Make the file anew, with one value everywhere."""
+    kind = np.dtype(dtype)
+    temporary = path.with_suffix(".part")
+    block = np.full(min(count, _AT_A_TIME), value, kind)
+    temporary.unlink(missing_ok=True)
+    with create_file(temporary) as stream:
+        for start in range(0, count, _AT_A_TIME):
+            stream.write(block[: count - start].data)
+    temporary.replace(path)
+
+
+def open_rows(path: Path, dtype: DTypeLike, mode: str = "r") -> NDArray[Any]:
+    """Map the file into memory; `mode` is that of `numpy.memmap`."""
+    if path.stat().st_size == 0:
+        return np.empty(0, dtype)
+    return np.memmap(path, dtype, mode=mode)  # type: ignore[call-overload, no-any-return]
+
+
+def write_rows(path: Path, first_row: int, values: NDArray[Any]) -> None:
+    """Write values of consecutive rows to the disk; other processes may write others."""
+    with write_only(path) as stream:
+        stream.seek(first_row * values.itemsize)
+        stream.write(np.ascontiguousarray(values).data)
+        stream.flush()
+        sync(stream.fileno())

@@ -1,0 +1,161 @@
+"""What a run made of a map, and the files that it is written into."""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from dynahull.labels import Label
+from dynahull.result import ClusterSummary
+from pipeline.configuration.run import OutputParameters
+from pipeline.decision import Decision
+from pipeline.errors import LostPointsError
+from pipeline.outputs.folder import OutputNames
+from pipeline.outputs.modes import PointScores, mode_of
+from pipeline.progress import StageObserver
+from pipeline.report_page.charts import TileWork
+from pipeline.report_page.page import Views
+from tiling.collection import MapCollection
+from tiling.formats import PointBatch, open_map
+from tiling.formats.points import DEFAULT_BATCH
+from tiling.output_file import create_file
+
+
+@dataclass(frozen=True, slots=True)
+class CleanedMap:
+    """What became of every point, in memory or in files that look like it.
+
+    Attributes
+    ----------
+    labels : (N,) uint8 array
+    cluster : (N,) int32 array or None
+    density : (N,) float64 array or None
+    score : (N,) float32 array or None
+        None where nobody asked for them.
+    counts : dict of str to int
+        Points of each label.
+    clusters : tuple of ClusterSummary
+    decision : Decision or None
+        None where the evidence was not asked.
+    views : callable or None
+        Gives what the report shows; None where none is wanted.
+    tiles : TileWork or None
+        What they took; None where no report is wanted, or the map is one tile.
+    """
+
+    labels: NDArray[np.uint8]
+    cluster: NDArray[np.int32] | None
+    density: NDArray[np.float64] | None
+    score: NDArray[np.float32] | None
+    counts: dict[str, int]
+    clusters: tuple[ClusterSummary, ...]
+    decision: Decision | None
+    views: Callable[[], Views] | None = None
+    tiles: TileWork | None = None
+
+
+def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
+    """Return the outputs of each file of the map, in a folder; make the folders they go to.
+
+    Raises
+    ------
+    LostPointsError
+        When one would be written over another.
+    """
+    outputs = [tuple(folder / name for name in of_file) for of_file in names.by_file]
+    places = [place for of_file in outputs for place in of_file]
+    if len(set(places)) < len(places):
+        twice = next(place for place in places if places.count(place) > 1)
+        raise LostPointsError(f"{twice}: two files of the map would be written here")
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    return outputs
+
+
+def write_maps(
+    collection: MapCollection,
+    output: OutputParameters,
+    labels: NDArray[np.uint8],
+    scores: PointScores | None,
+    outputs: Sequence[tuple[Path, ...]],
+    observer: StageObserver,
+    written: Collection[int] = (),
+    read: Callable[[int], Iterable[PointBatch]] | None = None,
+) -> None:
+    """Stream the input once more into its outputs, in order, with all fields.
+
+    Parameters
+    ----------
+    collection : MapCollection
+    output : OutputParameters
+    labels : (N,) uint8 array
+    scores : PointScores or None
+        There where the outputs are labelled.
+    outputs : sequence of tuple of Path
+        Of each file of the map.
+    observer : StageObserver
+    written : collection of int
+        Files of the map whose outputs are there already.
+    read : callable, optional
+        Gives the points of a file of the map; otherwise it is read again.
+
+    Raises
+    ------
+    LostPointsError
+        When the files written do not add up to the input.
+    """
+    first_rows = [*collection.first_rows, collection.point_count]
+    rows = [slice(*bounds) for bounds in pairwise(first_rows)]
+    streams = [index for index in range(len(outputs)) if index not in written]
+    observer.stage("write", sum(rows[index].stop - rows[index].start for index in streams))
+    for index in streams:
+        reader = collection.readers[index]
+        own = None if scores is None else scores.of(rows[index])
+        mode = mode_of(reader, output, labels[rows[index]], own)
+        counts = mode.counts(range(reader.description.point_count))
+        with ExitStack() as stack:
+            writers = [
+                stack.enter_context(each.writer(path, count))
+                for each, path, count in zip(mode.formats, outputs[index], counts, strict=True)
+            ]
+            for batch in reader.batches() if read is None else read(index):
+                for writer, records in zip(writers, mode.records(batch), strict=True):
+                    writer.write(records)
+                observer.advance(len(batch.xyz))
+    for reader, of_file in zip(collection.readers, outputs, strict=True):
+        points = reader.description.point_count
+        found = sum(open_map(path).description.point_count for path in of_file)
+        if found != points:
+            raise LostPointsError(
+                f"{reader.description.path}: {points} points read, {found} written"
+            )
+
+
+def write_labels(cleaned: CleanedMap, path: Path) -> None:
+    """Write label, cluster, density and score of every point, in input order, as Parquet."""
+    every = (cleaned.labels, cleaned.cluster, cleaned.density, cleaned.score)
+    columns: list[NDArray[Any]] = [each for each in every if each is not None]  # asked for
+    titles = pa.array([label.title for label in Label])
+    schema = pa.schema(
+        {
+            "label": pa.dictionary(pa.int8(), pa.string()),
+            "cluster": pa.int32(),
+            "density": pa.float64(),
+            "score": pa.float32(),
+        }
+    )
+    with ExitStack() as stack:
+        file = stack.enter_context(create_file(path))
+        writer = stack.enter_context(pq.ParquetWriter(file, schema, compression="zstd"))
+        for start in range(0, len(cleaned.labels), DEFAULT_BATCH):
+            codes, *rest = (np.asarray(each[start : start + DEFAULT_BATCH]) for each in columns)
+            label = pa.DictionaryArray.from_arrays(pa.array(codes.astype(np.int8)), titles)
+            table = pa.table([label, *map(pa.array, rest)], schema=schema)
+            writer.write_table(table, row_group_size=DEFAULT_BATCH)
