@@ -74,7 +74,8 @@ def run(
         raise MissingClassificationError(
             f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
         )
-    one_tile = is_one_tile(collection, configuration)
+    begun = (folder / WORK_FOLDER).exists() and not fresh
+    one_tile = is_one_tile(collection, configuration, begun=begun)
     if one_tile:
         check_one_tile(collection, configuration)
     for note in _notes(collection):

@@ -81,6 +81,8 @@ class ChunkStore:
         Of the coordinates; needed for LAS, see `tiling.common_grid.grid_of`.
     compression : "zstd" or "lz4"
         Of chunks in Parquet: half the size, or half the time.
+    max_points : int
+        What a core may hold, unless it is a single column.
     """
 
     folder: Path
@@ -90,6 +92,7 @@ class ChunkStore:
     format: ChunkFormat = "parquet"
     grid: Grid | None = None
     compression: ChunkCompression = "zstd"
+    max_points: int = 1
 
     def __post_init__(self) -> None:
         if self.format != "parquet" and self.grid is None:
@@ -129,6 +132,7 @@ class ChunkStore:
             stored["format"],
             None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
             stored["compression"],
+            stored["max_points"],
         )
 
     @cached_property
@@ -140,6 +144,7 @@ class ChunkStore:
                 "format": self.format,
                 "grid": None if self.grid is None else [self.grid.scales, self.grid.offsets],
                 "compression": self.compression,
+                "max_points": self.max_points,
                 "layout": self.layout.to_json(),
             }
         )

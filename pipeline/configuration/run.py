@@ -56,11 +56,11 @@ class TilingParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    max_points: int = Field(
-        1_000_000,
-        ge=1,
+    max_points: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
+        "auto",
         description="Points of a tile, at most, its halo not counted. A map of no more is cleaned "
-        "in memory.",
+        "in memory. `auto`: a map is one tile where half of the free memory suffices for it; "
+        "otherwise tiles have one to two million points, as memory and workers allow.",
     )
     halo: Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"] = Field(
         "auto",

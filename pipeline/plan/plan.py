@@ -13,8 +13,10 @@ from pipeline.errors import PlanError
 from pipeline.plan.resources import (
     BASE_BYTES,
     EVIDENCE_BYTES,
+    TILE_BYTES,
     check_space,
     output_size,
+    tile_budget,
     worker_memory_limit,
 )
 from tiling.collection import MapCollection
@@ -22,9 +24,6 @@ from tiling.kept_points import bytes_kept
 from tiling.layout import Layout, quadtree
 from tiling.occupancy import Occupancy, count_within
 from tiling.survey import Survey
-
-_BYTES_A_POINT = 260
-"""Bytes per point of the largest tile (core and halo) in the most expensive stage."""
 
 _BYTES_ON_DISK = 100
 """A point of a tile, core or halo, in pieces, chunks and ground-free points together."""
@@ -59,6 +58,8 @@ class Plan:
     point_count : int
         Points of the map.
     layout : Layout
+    max_points : int
+        That the core of a tile may have.
     halo : float
         Metres.
     held : (T,) int64 array
@@ -76,6 +77,7 @@ class Plan:
 
     point_count: int
     layout: Layout
+    max_points: int
     halo: float
     held: NDArray[np.int64]
     workers: int
@@ -137,17 +139,19 @@ def make_plan(
     if halo == "auto":
         halo = radius + neighbour_reach(survey.occupancy, configuration.neighbours.k)
     around = max(halo, radius)
-    layout = quadtree(survey.occupancy, configuration.tiling.max_points, around)
+    max_points = tile_budget(collection, configuration, workers)
+    layout = quadtree(survey.occupancy, max_points, around)
     held = points_held(layout, survey.occupancy, halo)
     gathered = held if around == halo else points_held(layout, survey.occupancy, around)
     core, all_held = int(layout.counts.sum()), int(held.sum())
     weighs = configuration.removal.weighs_evidence
-    each = _BYTES_A_POINT + (EVIDENCE_BYTES if weighs else 0)
+    each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
     kept = _SCORES_ON_DISK + (_EVIDENCE_ON_DISK if weighs else 0)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     return Plan(
         point_count=survey.point_count,
         layout=layout,
+        max_points=max_points,
         halo=halo,
         held=held,
         workers=workers,

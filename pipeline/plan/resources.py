@@ -36,14 +36,55 @@ _PAGE_BYTES = 6 << 20
 """Of the report."""
 
 
-def is_one_tile(collection: MapCollection, configuration: Configuration) -> bool:
+TILE_BYTES = 260
+"""A point of the largest tile, core and halo, in the stage that takes most."""
+
+_HELD = 2
+"""Points of core and halo, at most, for each that the core may have: see `tiling.layout`."""
+
+_USUAL_TILE, _LARGEST_TILE, _SMALLEST_TILE = 1_000_000, 2_000_000, 20_000
+_TILES_A_WORKER = 3
+"""So that all workers have work to the end."""
+
+_LARGEST_ONE_TILE = 50_000_000
+"""Points: only tiles are shared out to all cores in every step."""
+
+
+def is_one_tile(
+    collection: MapCollection, configuration: Configuration, *, begun: bool = False
+) -> bool:
     """Tell whether a map is a single tile, which is cleaned in memory.
 
     It is where it has no more points than a tile may have, and where the ground step must look
-    at the map as a whole.
+    at the map as a whole. With `tiling.max_points: auto`, a map whose tiles were `begun` stays cut.
     """
-    whole = ground_radius(configuration.ground) is None
-    return whole or collection.point_count <= configuration.tiling.max_points
+    most = configuration.tiling.max_points
+    if ground_radius(configuration.ground) is None:
+        return True
+    if most != "auto":
+        return collection.point_count <= most
+    if begun:
+        return False
+    if is_elsewhere(configuration) or collection.point_count > _LARGEST_ONE_TILE:
+        return collection.point_count <= _USUAL_TILE
+    wanted, free = _one_tile_memory(collection, configuration)
+    return wanted <= free / 2
+
+
+def tile_budget(collection: MapCollection, configuration: Configuration, workers: int) -> int:
+    """Return how many points a tile may have, its halo not counted.
+
+    With `tiling.max_points: auto` as many as give each worker some tiles, but tiles are not made
+    smaller than usual for that, nor larger than the memory of a worker allows.
+    """
+    most = configuration.tiling.max_points
+    if most != "auto":
+        return most
+    shared_out = collection.point_count // (_TILES_A_WORKER * workers)
+    each = TILE_BYTES + (EVIDENCE_BYTES if configuration.removal.weighs_evidence else 0)
+    memory = worker_memory_limit(configuration, workers)
+    fitting = int(memory / 2 - BASE_BYTES) // (each * _HELD)
+    return max(_SMALLEST_TILE, min(fitting, _LARGEST_TILE, max(_USUAL_TILE, shared_out)))
 
 
 def output_size(collection: MapCollection, configuration: Configuration) -> int:
@@ -94,13 +135,7 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
     PlanError
         In one line: what it takes, what there is, and what to change.
     """
-    cloth = configuration.ground.method == "csf"
-    each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
-    if configuration.removal.weighs_evidence:
-        each += EVIDENCE_BYTES
-    wanted = BASE_BYTES + each * collection.point_count
-    memory = configuration.execution.memory
-    free = available_memory() if memory == "auto" else memory
+    wanted, free = _one_tile_memory(collection, configuration)
     if wanted > free:
         whole = ground_radius(configuration.ground) is None
         method = f"a ground.method other than {configuration.ground.method}"
@@ -110,6 +145,17 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
             f"{in_units(wanted)}, and there are {in_units(free)}: choose {remedy}, so that the map "
             "is cut"
         )
+
+
+def _one_tile_memory(collection: MapCollection, configuration: Configuration) -> tuple[int, int]:
+    """Return the bytes that a map of one tile takes, and those that there are."""
+    cloth = configuration.ground.method == "csf"
+    each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
+    if configuration.removal.weighs_evidence:
+        each += EVIDENCE_BYTES
+    memory = configuration.execution.memory
+    free = available_memory() if memory == "auto" else memory
+    return BASE_BYTES + each * collection.point_count, free
 
 
 def worker_memory_limit(configuration: Configuration, workers: int) -> int:

@@ -131,7 +131,7 @@ def plan_tiles(
         # Refused: there is nothing to go on with.
         remove_work(job.root)
         raise
-    overfull = len(plan.layout.overfull(job.configuration.tiling.max_points))
+    overfull = len(plan.layout.overfull(plan.max_points))
     if overfull:
         observer.warn(
             f"{overfull} tiles hold more than tiling.max_points: a column of the lattice, "
@@ -230,6 +230,7 @@ def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) 
         chunks,
         None if chunks == "parquet" else grid_of(job.collection, survey),
         compression,
+        plan.max_points,
     )
 
 

@@ -195,7 +195,7 @@ def tile_work(job: Job) -> TileWork:
                 seconds[tile] += report.seconds
         finished[tile] = job.work.path("density", tile, ".done").stat().st_mtime
     overfull = np.zeros(len(tiles), np.bool_)
-    overfull[layout.overfull(job.configuration.tiling.max_points)] = True
+    overfull[layout.overfull(job.store.max_points)] = True
     return TileWork(layout.low, layout.high, layout.counts, seconds, finished < begun, overfull)
 
 

@@ -102,7 +102,7 @@ clustering:  {count: 5, scope: map, seed: 0}
 neighbours:  {k: 75}
 density:     {device: cpu}
 removal:     {min_percent: 5, max_percent: 20, threshold: rank}
-tiling:      {max_points: 1000000, halo: auto, format: parquet}
+tiling:      {max_points: auto, halo: auto, format: parquet}
 execution:   {cluster: local, scheduler: null, workers: auto, memory: auto}
 output:      {mode: split, labels: false, keep_work: false}
 """
