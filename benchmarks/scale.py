@@ -2,11 +2,11 @@
 
     python -m benchmarks.scale [--points 10000000 100000000] [--folder DIR] [--workers 2]
 
-Makes each map with `dynahull-pipeline simulate --points N`, unless it is there, and cleans it
-in tiles of a million points (`--max-points`). Prints for each the wall time, microseconds a point,
-and the most memory that all processes of the run held together: anonymous and shared pages, as the page
-cache of files is the system's to give and take. Asked: below 2 GiB, within 10 % of each other, and
-the time a point within 1.15.
+Makes each map with `dynahull-pipeline simulate --points N`, unless it is there, and cleans it in
+tiles of a million points (`--max-points`). Prints for each the wall time, microseconds a point, and
+the most memory that all processes of the run held together: anonymous and shared pages, as the
+page cache of files is the system's to give and take. Asked: below 2 GiB, within 10 % of each
+other, and the time a point within 1.15.
 """
 
 import argparse
