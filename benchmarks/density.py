@@ -31,9 +31,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from sklearn.neighbors import KDTree
 
 from dynahull.kernels import hull_densities
+from dynahull.kernels.build import make_tree_workspace
 from dynahull.kernels.compilation import kernels
-from dynahull.kernels.growth import make_growth
-from dynahull.kernels.solve import Results, make_room
+from dynahull.kernels.solve import Results, make_workspace
 from dynahull.kernels.tree import LEAF_SIZE, make_tree
 from tiling.formats import open_map
 
@@ -109,7 +109,7 @@ def maps(folder: Path, count: int) -> Iterator[tuple[str, Points]]:
             if found >= count:
                 break
         yield name, np.concatenate(batches)[:count]
-    yield "simulated rooms", simulated(count)
+    yield "simulated workspaces", simulated(count)
 
 
 def simulated(count: int) -> Points:
@@ -164,13 +164,13 @@ class Kernel:
         self.compiled = kernels()
         rows = np.arange(len(points))
         self.tree, copy_seconds = timed(lambda: make_tree(points))
-        grow_seconds = timed(lambda: self.compiled.grow(self.tree, rows, make_growth()))[1]
+        grow_seconds = timed(lambda: self.compiled.build(self.tree, rows, make_tree_workspace()))[1]
         self.build_seconds = copy_seconds + grow_seconds
         leaves = len(points) // LEAF_SIZE
         self.first = leaves // 3
         self.end = min(self.first + SAMPLE // LEAF_SIZE, leaves)
         self.wanted = np.ones(len(points), np.bool_)
-        self.room = make_room(K)
+        self.workspace = make_workspace(K)
         self.reach = np.empty(len(points))
         self.density = np.empty(len(points))
 
@@ -185,7 +185,9 @@ class Kernel:
         results = Results(
             density, self.reach, np.empty((0, 0), np.int64), np.empty((0, 0), np.float32)
         )
-        self.compiled.solve(self.tree, K, self.first, self.end, self.wanted, self.room, results)
+        self.compiled.solve(
+            self.tree, K, self.first, self.end, self.wanted, self.workspace, results
+        )
 
 
 def timed(work: Callable[[], Answer]) -> tuple[Answer, float]:

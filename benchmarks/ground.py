@@ -208,7 +208,8 @@ def left_out(
     for cell, slope, window, base in product(
         (1.25, 1.5, 2.0), (0.15, 0.2, 0.25), (15, 18), (0.25, 0.4)
     ):
-        changed = {"cell": cell, "slope": slope, "window": window, "tolerance": base}
+        expert = OUTDOOR.slope.expert.model_copy(update={"cell": cell, "tolerance": base})
+        changed = {"slope": slope, "window": window, "expert": expert}
         grid.append(OUTDOOR.model_copy(update={"slope": OUTDOOR.slope.model_copy(update=changed)}))
     table = np.array([errors(parameters) for parameters in grid])
     others = table.sum(axis=1, keepdims=True) - table

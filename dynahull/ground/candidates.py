@@ -49,8 +49,8 @@ def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters, threads: int 
     offsets = disk_offsets(FLAT_RADIUS)[1:]
     flat = np.empty(len(levels.heights), np.bool_)
     starts = starts_of(levels.slots, lattice.slot_count)
-    reaches = p.step + p.continuity * distances_of(offsets, p.cell)
-    breadth = 0.0 if p.clearance is None else p.breadth
+    reaches = p.step + p.expert.continuity * distances_of(offsets, p.expert.cell)
+    breadth = 0.0 if p.clearance is None else p.expert.breadth
     over_ranges(
         lambda first, end: _are_flat(
             levels.heights,
@@ -60,7 +60,7 @@ def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters, threads: int 
             lattice.neighbours,
             offsets,
             reaches,
-            p.flatness,
+            p.expert.flatness,
             breadth,
             first,
             end,
@@ -164,8 +164,8 @@ def are_floors(
     threads : int
         They change nothing about the result.
     """
-    offsets = disk_offsets(p.storey_radius / p.cell / _STRIDE) * _STRIDE
-    reaches = _MARGIN + p.slope * distances_of(offsets, p.cell)
+    offsets = disk_offsets(p.expert.storey_radius / p.expert.cell / _STRIDE) * _STRIDE
+    reaches = _MARGIN + p.slope * distances_of(offsets, p.expert.cell)
     floors = np.zeros(len(levels.heights), np.bool_)
     over_ranges(
         lambda first, end: _are_floors(

@@ -46,11 +46,27 @@ def decide(
     (N,) bool array
     """
     ground = np.zeros(len(points), np.bool_)
-    tolerances = np.array([p.tolerance, p.slope_tolerance, p.noise_tolerance, p.tolerance_limit])
-    foot = np.inf if p.clearance is None else p.foot
+    tolerances = np.array(
+        [
+            p.expert.tolerance,
+            p.expert.slope_tolerance,
+            p.expert.noise_tolerance,
+            p.expert.tolerance_limit,
+        ]
+    )
+    foot = np.inf if p.clearance is None else p.expert.foot
     over_ranges(
         lambda first, end: _decide(
-            points, *columns, *surface, tolerances, p.steepest, p.cell, foot, first, end, ground
+            points,
+            *columns,
+            *surface,
+            tolerances,
+            p.steepest,
+            p.expert.cell,
+            foot,
+            first,
+            end,
+            ground,
         ),
         columns.bounds(threads),
         threads,

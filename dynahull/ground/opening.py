@@ -40,9 +40,9 @@ def stand_out(
     seen. Looking up, half of that is the limit: beyond it begins the next storey. Cells
     without a level are passed over, not filled.
     """
-    offsets = disk_offsets(p.window / p.cell)
-    radii = p.cell * np.arange(1, int(p.window / p.cell) + 1)
-    disks = np.searchsorted(distances_of(offsets, p.cell), radii, side="right")
+    offsets = disk_offsets(p.window / p.expert.cell)
+    radii = p.expert.cell * np.arange(1, int(p.window / p.expert.cell) + 1)
+    disks = np.searchsorted(distances_of(offsets, p.expert.cell), radii, side="right")
     heights, slots = levels.heights, levels.slots
     starts = starts_of(slots, lattice.slot_count)
     eroded, opened = heights.copy(), heights.copy()

@@ -4,19 +4,15 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["ClothParameters", "GroundParameters", "SlopeParameters"]
+__all__ = ["ClothParameters", "GroundParameters", "SlopeExpert", "SlopeParameters"]
 
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class SlopeParameters(_Section):
-    """The ground from the slope of the surface under each point.
-
-    The defaults suit maps of buildings and streets seen from the ground; `configs/outdoor.yaml`
-    holds those for airborne scans of open country.
-    """
+class SlopeExpert(_Section):
+    """What the slope method seldom needs to be told: how it looks, and how near is near."""
 
     cell: float = Field(
         default=0.25, gt=0, le=10, description="Side of a lattice cell, metres (0 < cell <= 10)."
@@ -26,14 +22,6 @@ class SlopeParameters(_Section):
         gt=0,
         le=5,
         description="Thickness of a floor's layer of points, metres (0 < level <= 5).",
-    )
-    clearance: float | None = Field(
-        default=1.8,
-        gt=0,
-        le=100,
-        description="Free height above a floor, metres (0 < clearance <= 100). null: one storey, "
-        "the lowest points, as in airborne scans; `clutter`, `breadth` and `storey_radius` then "
-        "mean nothing.",
     )
     clutter: float = Field(
         default=0.2,
@@ -70,39 +58,12 @@ class SlopeParameters(_Section):
         description="Radius within which something must stand on an upper floor, lest it be a "
         "ceiling, metres (0 < storey_radius <= 100).",
     )
-    window: float = Field(
-        default=2.0,
-        gt=0,
-        le=100,
-        description="Half-width of the widest object told from the ground, metres "
-        "(0 < window <= 100).",
-    )
-    slope: float = Field(
-        default=0.3,
-        gt=0,
-        le=5,
-        description="Rise over distance (0 < slope <= 5): what stands out by more than "
-        "step + slope * r, and is as wide as a disk of radius r, is an object.",
-    )
-    step: float = Field(
-        default=0.05,
-        ge=0,
-        le=5,
-        description="Height of a step that is still ground, metres (0 to 5).",
-    )
     extension: float = Field(
         default=1.0,
         gt=0,
         le=100,
         description="How far the ground goes on under walls and furniture, metres "
         "(0 < extension <= 100).",
-    )
-    steepest: float = Field(
-        default=0.45,
-        gt=0,
-        le=100,
-        description="Rise over distance of the steepest surface that is ground "
-        "(0 < steepest <= 100).",
     )
     tolerance: float = Field(
         default=0.01,
@@ -137,6 +98,53 @@ class SlopeParameters(_Section):
         gt=0,
         le=100,
         description="The three together at most, metres (0 < limit <= 100).",
+    )
+
+
+class SlopeParameters(_Section):
+    """The ground from the slope of the surface under each point.
+
+    The defaults suit maps of buildings and streets seen from the ground; `configs/outdoor.yaml`
+    holds those for airborne scans of open country.
+    """
+
+    clearance: float | None = Field(
+        default=1.8,
+        gt=0,
+        le=100,
+        description="Free height above a floor, metres (0 < clearance <= 100). null: one storey, "
+        "the lowest points, as in airborne scans; `expert.clutter`, `expert.breadth` "
+        "and `expert.storey_radius` then mean nothing.",
+    )
+    window: float = Field(
+        default=2.0,
+        gt=0,
+        le=100,
+        description="Half-width of the widest object told from the ground, metres "
+        "(0 < window <= 100).",
+    )
+    slope: float = Field(
+        default=0.3,
+        gt=0,
+        le=5,
+        description="Rise over distance (0 < slope <= 5): what stands out by more than "
+        "step + slope * r, and is as wide as a disk of radius r, is an object.",
+    )
+    step: float = Field(
+        default=0.05,
+        ge=0,
+        le=5,
+        description="Height of a step that is still ground, metres (0 to 5).",
+    )
+    steepest: float = Field(
+        default=0.45,
+        gt=0,
+        le=100,
+        description="Rise over distance of the steepest surface that is ground "
+        "(0 < steepest <= 100).",
+    )
+    expert: SlopeExpert = Field(
+        default=SlopeExpert(), description="What seldom needs another value."
     )
 
 

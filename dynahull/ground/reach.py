@@ -46,12 +46,12 @@ def decision_radius(parameters: GroundParameters, heights: bool) -> float:
 
 def _slope_radius(p: SlopeParameters) -> float:
     """Metres within which all points lie that decide a point's label: the windows, end to end."""
-    candidate = FLAT_RADIUS * p.cell
+    candidate = FLAT_RADIUS * p.expert.cell
     if p.clearance is not None:
-        candidate = max(candidate, p.storey_radius)
-    return p.extension + 2 * p.window + candidate + np.sqrt(2.0) * p.cell
+        candidate = max(candidate, p.expert.storey_radius)
+    return p.expert.extension + 2 * p.window + candidate + np.sqrt(2.0) * p.expert.cell
 
 
 def _height_reach(p: SlopeParameters) -> float:
     """Metres within which all ground points lie that decide a point's height above the ground."""
-    return p.extension + np.sqrt(2.0) * p.cell
+    return p.expert.extension + np.sqrt(2.0) * p.expert.cell

@@ -60,18 +60,20 @@ def slope_ground(points: Floats, p: SlopeParameters, threads: int = 1) -> Boolea
     """
     clearance = np.inf if p.clearance is None else p.clearance
     storey = _STOREY_TO_CLEARANCE * clearance
-    reach = max(p.window, p.storey_radius, p.extension, FLAT_RADIUS * p.cell)
-    lattice = build_lattice(points, p.cell, reach, threads)
+    reach = max(p.window, p.expert.storey_radius, p.expert.extension, FLAT_RADIUS * p.expert.cell)
+    lattice = build_lattice(points, p.expert.cell, reach, threads)
     columns = sort_columns(points, lattice, threads)
 
-    levels = find_levels(columns, p.level, clearance, p.clutter, threads)
+    levels = find_levels(columns, p.expert.level, clearance, p.expert.clutter, threads)
     levels = levels.keep(are_flat(levels, lattice, p, threads))
     if p.clearance is not None:
         levels = levels.keep(are_floors(levels, columns, lattice, p, p.clearance, threads))
     levels = levels.keep(~stand_out(levels, lattice, p, storey, threads))
 
     occupied = np.diff(columns.starts) > 0
-    surface = fit_surface(levels, lattice, occupied, p.extension, storey / 2, p.level, threads)
+    surface = fit_surface(
+        levels, lattice, occupied, p.expert.extension, storey / 2, p.expert.level, threads
+    )
     return decide(points, columns, surface, p, threads)
 
 
@@ -83,17 +85,26 @@ def height_above(points: Floats, ground: Booleans, p: SlopeParameters, threads: 
     where there is no ground near.
     """
     clearance = np.inf if p.clearance is None else p.clearance
-    lattice = build_lattice(points, p.cell, p.extension, threads)
+    lattice = build_lattice(points, p.expert.cell, p.expert.extension, threads)
     columns = sort_columns(points[ground], lattice._replace(slots=lattice.slots[ground]), threads)
-    thickness = 2 * p.tolerance_limit
+    thickness = 2 * p.expert.tolerance_limit
     levels = find_levels(columns, thickness, clearance / 2, 1.0, threads)
     occupied = np.zeros(lattice.slot_count, np.bool_)
     occupied[lattice.slots] = True
-    surface = fit_surface(levels, lattice, occupied, p.extension, clearance / 2, thickness, threads)
+    surface = fit_surface(
+        levels, lattice, occupied, p.expert.extension, clearance / 2, thickness, threads
+    )
     heights = np.full(len(points), np.nan)
     over_ranges(
         lambda first, end: _height_above(
-            points, lattice.slots, *surface, p.cell, p.tolerance_limit, first, end, heights
+            points,
+            lattice.slots,
+            *surface,
+            p.expert.cell,
+            p.expert.tolerance_limit,
+            first,
+            end,
+            heights,
         ),
         range_bounds(len(points), threads, _SMALLEST_RANGE),
         threads,

@@ -11,8 +11,8 @@ import numpy as np
 
 from dynahull.compilation import compiling, numba_cache
 from dynahull.kernels import closest, solve
-from dynahull.kernels.growth import make_growth
-from dynahull.kernels.solve import Results, make_room
+from dynahull.kernels.build import make_tree_workspace
+from dynahull.kernels.solve import Results, make_workspace
 from dynahull.kernels.tree import make_stack, make_tree
 
 _ONE_AT_A_TIME = Lock()
@@ -21,7 +21,7 @@ _ONE_AT_A_TIME = Lock()
 class Kernels(NamedTuple):
     """The compiled functions; see `dynahull.kernels.solve` and `.closest` for their parameters."""
 
-    grow: Callable[..., None]
+    build: Callable[..., None]
     solve: Callable[..., None]
     find: Callable[..., None]
 
@@ -42,23 +42,23 @@ def _kernels() -> Kernels:
 
 
 def _compile(cached: bool) -> Kernels:
-    tree, rows, growth, room = (
+    tree, rows, tree_workspace, workspace = (
         make_tree(np.zeros((4, 3))),
         np.zeros(4, np.int64),
-        make_growth(),
-        make_room(4),
+        make_tree_workspace(),
+        make_workspace(4),
     )
     results = Results(
         np.zeros(4), np.zeros(4), np.zeros((4, 4), np.int64), np.zeros((4, 5), np.float32)
     )
     queries = np.zeros(4, np.bool_)
-    grow_types = [numba.typeof(value) for value in (tree, rows, growth)]
-    solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, room, results)]
+    build_types = [numba.typeof(value) for value in (tree, rows, tree_workspace)]
+    solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, workspace, results)]
     places = np.zeros((1, 3)), 0, 1, make_stack(), np.empty(64), np.zeros(1), rows
     find_types = [numba.typeof(value) for value in (tree, *places)]
     options = {"nogil": True, "error_model": "numpy", "cache": cached, "_nrt": False}
     return Kernels(
-        numba.njit(numba.void(*grow_types), **options)(solve.grow),
+        numba.njit(numba.void(*build_types), **options)(solve.build),
         numba.njit(numba.void(*solve_types), **options)(solve.solve),
         numba.njit(numba.void(*find_types), **options)(closest.find),
     )

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from dynahull.density import SPREAD_COLUMNS
 from dynahull.errors import InvalidParametersError, InvalidPointsError
+from dynahull.kernels.build import make_tree_workspace
 from dynahull.kernels.compilation import kernels
 from dynahull.kernels.exact import exact_hull_volume
-from dynahull.kernels.growth import make_growth
-from dynahull.kernels.solve import Results, Room, make_room
+from dynahull.kernels.solve import Results, Workspace, make_workspace
 from dynahull.kernels.tree import LEAF_SIZE, make_tree
 from dynahull.kernels.vectors import INDEX_BITS
 
@@ -142,7 +142,7 @@ def _solve(
     squared_reach = np.full(count, np.nan)
     compiled = kernels()
     tree = make_tree(points)
-    compiled.grow(tree, np.require(rows, np.int64, ["C", "W"]), make_growth())
+    compiled.build(tree, np.require(rows, np.int64, ["C", "W"]), make_tree_workspace())
     wanted = np.ones(count, np.bool_) if queries is None else np.ascontiguousarray(queries)
     results = Results(
         np.empty(0) if density is None else density,
@@ -151,13 +151,13 @@ def _solve(
         np.empty((0, 0), np.float32) if spread is None else spread,
     )
 
-    rooms: list[Room] = []  # not in use
+    workspaces: list[Workspace] = []  # not in use
 
     def solve_leaves(first: int) -> int:
         end = min(first + _LEAVES_AT_A_TIME, leaves)
-        room = rooms.pop() if rooms else make_room(k)
-        compiled.solve(tree, k, first, end, wanted, room, results)
-        rooms.append(room)
+        workspace = workspaces.pop() if workspaces else make_workspace(k)
+        compiled.solve(tree, k, first, end, wanted, workspace, results)
+        workspaces.append(workspace)
         return min(end * LEAF_SIZE, count) - first * LEAF_SIZE
 
     _share_out(solve_leaves, range(0, leaves, _LEAVES_AT_A_TIME), threads, on_progress)

@@ -5,9 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.kernels.build import make_tree_workspace
 from dynahull.kernels.closest import NO_RANK
 from dynahull.kernels.compilation import kernels
-from dynahull.kernels.growth import make_growth
 from dynahull.kernels.tree import make_stack, make_tree
 
 _PLACES_AT_A_TIME = 20_000
@@ -67,7 +67,7 @@ class NearestSearch:
             return
         compiled = kernels()
         tree = make_tree(points)
-        compiled.grow(tree, np.require(ranks, np.int64, ["C", "W"]), make_growth())
+        compiled.build(tree, np.require(ranks, np.int64, ["C", "W"]), make_tree_workspace())
 
         def find(first: int) -> None:
             end = min(first + _PLACES_AT_A_TIME, len(places))

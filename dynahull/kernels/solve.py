@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.kernels.build import TreeWorkspace, build_tree
 from dynahull.kernels.candidates import (
     Candidates,
     bound_from,
@@ -17,7 +18,6 @@ from dynahull.kernels.candidates import (
 )
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
-from dynahull.kernels.growth import Growth, grow_tree
 from dynahull.kernels.hull import Surface, hull_volume, make_surface
 from dynahull.kernels.nearest import Nearest, Pool, make_nearest, make_pool, sort_nearest
 from dynahull.kernels.search import search_list
@@ -36,8 +36,8 @@ _DIRECTION = (0.6180339887498949, 0.7548776662466927, 0.2192059139)
 _LONGEST_PAUSE = 63
 
 
-class Room(NamedTuple):
-    """Room for one thread's work on neighbourhoods of at most k points."""
+class Workspace(NamedTuple):
+    """Arrays for one thread's work on neighbourhoods of at most k points."""
 
     candidates: Candidates
     nearest: Nearest
@@ -68,10 +68,10 @@ class Results(NamedTuple):
     spread: NDArray[np.float32]
 
 
-def make_room(k: int) -> Room:
-    """Make room for one thread."""
+def make_workspace(k: int) -> Workspace:
+    """Make the arrays for one thread."""
     candidates = make_candidates(k)
-    return Room(
+    return Workspace(
         candidates,
         make_nearest(k),
         make_pool(candidates.distance.size),
@@ -80,9 +80,9 @@ def make_room(k: int) -> Room:
     )
 
 
-def grow(tree: Tree, rows: NDArray[np.int64], growth: Growth) -> None:
+def build(tree: Tree, rows: NDArray[np.int64], workspace: TreeWorkspace) -> None:
     """Put points into kd-tree order, in place, and measure the boxes."""
-    grow_tree(tree, rows, growth)
+    build_tree(tree, rows, workspace)
 
 
 def solve(
@@ -91,7 +91,7 @@ def solve(
     first_leaf: int,
     end_leaf: int,
     queries: NDArray[np.bool_],
-    room: Room,
+    workspace: Workspace,
     results: Results,
 ) -> None:
     """Solve the queries of some leaves.
@@ -106,12 +106,12 @@ def solve(
         Which leaves.
     queries : (n,) bool array
         Which points, in the order of the input.
-    room : Room
+    workspace : Workspace
         Made for k.
     results : Results
         Written for the queries of these leaves.
     """
-    candidates, nearest, pool = room.candidates, room.nearest, room.pool
+    candidates, nearest, pool = workspace.candidates, workspace.nearest, workspace.pool
     density, neighbours = results.density, results.neighbours
     waiting, pause = 0, 0
     for leaf in range(first_leaf, end_leaf):
@@ -128,7 +128,7 @@ def solve(
             if i >= begin and not queries[at]:
                 continue
             if leaves < 0:
-                guess = _search_around(tree, query, k, room)
+                guess = _search_around(tree, query, k, workspace)
             else:
                 away = point_distance(tree, middle, tree.x[query], tree.y[query], tree.z[query])
                 bound = bound_from(reach, away)
@@ -143,10 +143,12 @@ def solve(
             if neighbours.size:
                 _write_neighbours(tree, i, k, nearest, neighbours)
             if density.size:
-                places = _gather_places(tree, i, k, nearest, room.points)
+                places = _gather_places(tree, i, k, nearest, workspace.points)
                 if results.spread.size:
-                    measure_spread(room.points, places, results.spread[at])
-                volume, rough = hull_volume(room.points, places, room.surface, waiting == 0)
+                    measure_spread(workspace.points, places, results.spread[at])
+                volume, rough = hull_volume(
+                    workspace.points, places, workspace.surface, waiting == 0
+                )
                 waiting, pause = _pauses(waiting, pause, rough)
                 density[at] = np.inf if volume == 0.0 else k / volume
 
@@ -189,16 +191,16 @@ def _bound_around(tree: Tree, middle: int, k: int) -> float:
 
 
 @compiled
-def _search_around(tree: Tree, i: int, k: int, room: Room) -> float:
+def _search_around(tree: Tree, i: int, k: int, workspace: Workspace) -> float:
     """Walk the tree for the k nearest points of a point; return the squared distance of the k-th.
 
     The walk begins with the k points around it in the order of the tree.
     """
     x, y, z = tree.x[i], tree.y[i], tree.z[i]
-    search_tree(tree, x, y, z, k, i - k // 2, room.candidates, room.pool)
+    search_tree(tree, x, y, z, k, i - k // 2, workspace.candidates, workspace.pool)
     for j in range(np.uint64(k)):
-        room.nearest.at[j] = room.pool.at[j]
-    return room.pool.distance[0]
+        workspace.nearest.at[j] = workspace.pool.at[j]
+    return workspace.pool.distance[0]
 
 
 @compiled

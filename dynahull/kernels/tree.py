@@ -51,7 +51,7 @@ class Tree(NamedTuple):
 
 
 def make_tree(points: NDArray[np.float64]) -> Tree:
-    """Copy points, to be put into order by `dynahull.kernels.growth.grow_tree`."""
+    """Copy points, to be put into order by `dynahull.kernels.build.build_tree`."""
     count = len(points)
     leaves = -(-count // LEAF_SIZE)
     columns = [aligned(leaves * LEAF_SIZE) for _ in range(3)]

@@ -11,11 +11,18 @@ from dynahull.errors import InvalidPointsError, MissingClassificationError, Miss
 from dynahull.ground import candidates, columns, lattice, opening, surface
 from dynahull.ground import slope as slope_module
 from dynahull.ground.methods import ground_mask, height_above_ground
-from dynahull.ground.parameters import ClothParameters, GroundParameters, SlopeParameters
+from dynahull.ground.parameters import (
+    ClothParameters,
+    GroundParameters,
+    SlopeExpert,
+    SlopeParameters,
+)
 from dynahull.ground.reach import ground_radius, height_radius
 
 DEFAULT = GroundParameters()
-SMALL = GroundParameters(slope=SlopeParameters(window=1.0, storey_radius=1.0, extension=0.5))
+SMALL = GroundParameters(
+    slope=SlopeParameters(window=1.0, expert=SlopeExpert(storey_radius=1.0, extension=0.5))
+)
 
 
 def plane(random, x, y, z, density=150):
@@ -80,7 +87,10 @@ def test_a_window_with_its_radius_gives_the_labels_of_the_whole_map(seed, x, y, 
     parameters = SMALL
     if outdoor:
         slope = SlopeParameters(
-            cell=0.7, clearance=None, window=2.1, extension=1.5, flatness=0.2, steepest=9
+            clearance=None,
+            window=2.1,
+            steepest=9,
+            expert=SlopeExpert(cell=0.7, extension=1.5, flatness=0.2),
         )
         parameters = GroundParameters(slope=slope)
     ground = ground_mask(points, parameters)

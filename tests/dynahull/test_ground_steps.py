@@ -17,7 +17,7 @@ from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets
 from dynahull.ground.levels import Levels, find_levels
 from dynahull.ground.methods import ground_mask
 from dynahull.ground.opening import stand_out
-from dynahull.ground.parameters import GroundParameters, SlopeParameters
+from dynahull.ground.parameters import GroundParameters, SlopeExpert, SlopeParameters
 from dynahull.ground.reach import ground_radius
 from dynahull.ground.surface import HEIGHT, NOISE, SLOPE_X, SLOPE_Y, fit_surface
 
@@ -100,7 +100,9 @@ def test_the_opening_is_that_of_a_grey_image(seed, window):
     random = np.random.default_rng(seed)
     image = ndimage.gaussian_filter(random.random((25, 30)), 2) * 4
     image[8:14, 10:17] += random.uniform(0, 2)
-    p = SlopeParameters(cell=1.0, clearance=None, window=window, slope=0.1, step=0.0)
+    p = SlopeParameters(
+        clearance=None, window=window, slope=0.1, step=0.0, expert=SlopeExpert(cell=1.0)
+    )
     rows, columns = np.indices(image.shape)
     points = np.column_stack([rows.ravel() + 0.5, columns.ravel() + 0.5, image.ravel()])
     lattice = build_lattice(points, 1.0, window)

@@ -28,8 +28,8 @@ FAST = [
     "output.labels=true",
     "output.report=none",
     "ground.slope.window=0.3",
-    "ground.slope.extension=0.3",
-    "ground.slope.storey_radius=0.5",
+    "ground.slope.expert.extension=0.3",
+    "ground.slope.expert.storey_radius=0.5",
     "max_height=2",
     # The classes and flags of the maps here are arbitrary.
     "input.leave_out=[]",

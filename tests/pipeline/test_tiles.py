@@ -24,8 +24,8 @@ from tiling.errors import GridError
 FAST = ["neighbours.k=8", "clustering.count=3", "execution.cluster=none", "output.labels=true"]
 SMALL_GROUND = [
     "ground.slope.window=0.3",
-    "ground.slope.extension=0.3",
-    "ground.slope.storey_radius=0.5",
+    "ground.slope.expert.extension=0.3",
+    "ground.slope.expert.storey_radius=0.5",
 ]
 """A slope ground that looks about two metres far, so that maps of a few metres have borders."""
 

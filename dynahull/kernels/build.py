@@ -17,8 +17,8 @@ from dynahull.kernels.vectors import extremes, lowest_place, places_from, places
 _LARGEST_SAMPLE = 63
 
 
-class Growth(NamedTuple):
-    """Room to grow a tree.
+class TreeWorkspace(NamedTuple):
+    """Arrays to build a tree with.
 
     Attributes
     ----------
@@ -32,13 +32,13 @@ class Growth(NamedTuple):
     sample: NDArray[np.float64]
 
 
-def make_growth() -> Growth:
-    """Make room to grow a tree."""
-    return Growth(make_stack(), np.empty(_LARGEST_SAMPLE))
+def make_tree_workspace() -> TreeWorkspace:
+    """Make the arrays to build a tree with."""
+    return TreeWorkspace(make_stack(), np.empty(_LARGEST_SAMPLE))
 
 
 @compiled
-def grow_tree(tree: Tree, rows: NDArray[np.int64], growth: Growth) -> None:
+def build_tree(tree: Tree, rows: NDArray[np.int64], workspace: TreeWorkspace) -> None:
     """Put the points of `tree` into kd-tree order, in place, and fill in row numbers and boxes.
 
     Each node is split where its box is longest. A node whose points all share one place is put in
@@ -46,7 +46,7 @@ def grow_tree(tree: Tree, rows: NDArray[np.int64], growth: Growth) -> None:
     first ones. `rows` are the row numbers in the order of the input.
     """
     point_count = tree.rows.size
-    stack = growth.stack
+    stack = workspace.stack
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(point_count)
     depth = 1
     random = np.uint64(0x9E3779B97F4A7C15)
@@ -63,7 +63,7 @@ def grow_tree(tree: Tree, rows: NDArray[np.int64], growth: Growth) -> None:
         left = (leaves + 1) // 2
         if extent > 0.0:
             middle = begin + left * LEAF_SIZE
-            random = _split(tree, axis, begin, end, middle, growth.sample, random)
+            random = _split(tree, axis, begin, end, middle, workspace.sample, random)
         stack[depth, 0], stack[depth, 1], stack[depth, 2] = (
             node + 2 * left,
             first + left,
