@@ -49,10 +49,10 @@ class FitOptions:
     """
 
     points: int = 3_000
-    first_trees: int = 120
-    first_leaves: int = 24
-    second_trees: int = 60
-    second_leaves: int = 12
+    first_trees: int = 200
+    first_leaves: int = 32
+    second_trees: int = 80
+    second_leaves: int = 16
 
 
 @dataclass(frozen=True, slots=True)

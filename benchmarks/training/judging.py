@@ -151,8 +151,9 @@ def by_confidence(judged: Sequence[Judged]) -> Iterator[str]:
 def reliability(judged: Sequence[Judged]) -> list[tuple[float, float, int]]:
     """Return, for each range of probabilities, its mean, the share that moved, and the points.
 
-    Each map has the same say.
+    Each map has the same say, but one of which nothing is known has none.
     """
+    judged = [each for each in judged if each.moved.any() or each.static.any()]
     moved = sum(
         (each.moved / (each.moved + each.static).sum() for each in judged), np.zeros(_STEPS)
     )

@@ -1,5 +1,7 @@
 """The trees that are written are those that were learnt, and figures are counted right."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -100,4 +102,7 @@ def test_figures_are_counted_over_all_points():
     assert judged.lost(0.5) == pytest.approx(4.0)
     assert judged.accuracy(0.5) == pytest.approx(100 * np.sqrt(0.6 * 0.96))
     assert judged.share == pytest.approx(25 / 125)
-    assert reliability([judged])[-1] == pytest.approx((0.9525, 15 / 19, 19), abs=0.003)
+    expected = pytest.approx((0.9525, 15 / 19, 19), abs=0.003)
+    assert reliability([judged])[-1] == expected
+    unknown = replace(made, truth=np.zeros_like(truth))
+    assert reliability([judged, Judged.of(unknown, odds)])[-1] == expected
