@@ -5,13 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from pipeline import progress
+from pipeline import planning, progress
 from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
 from pipeline.evaluation import evaluate
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.report import evaluate_files
-from pipeline.plan import picture as plan_picture
 from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver, watching
 from pipeline.report_page.charts import Axis
@@ -73,7 +72,7 @@ def test_an_axis_of_no_finite_limits_is_named():
 def test_a_plan_without_its_picture_is_printed(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     given = save(tmp_path / "map.npy")
-    monkeypatch.setattr(plan_picture, "draw_plan", broken)
+    monkeypatch.setattr(planning, "draw_plan", broken)
     observer = StageObserver(LogDisplay())
     text = plan_map([str(given)], load_configuration(None, FAST), observer, tmp_path / "plan.png")
     assert "drawn" not in text
