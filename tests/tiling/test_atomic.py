@@ -66,4 +66,4 @@ def test_no_task_maps_a_file_that_others_write_too():
         for path in (project / package).rglob("*.py")
         if re.search(r'"r\+b?"', path.read_text(encoding="utf-8"))
     ]
-    assert mapped == ["row_results.py"]  # which the coordinating process alone writes
+    assert mapped == ["labelling.py"]  # `RowResults`, which the coordinating process alone writes
