@@ -39,10 +39,8 @@ from typing import Any
 from tiling.ledger import NotedFile
 
 WORK = ".dynahull-work"
-_LOADED = ["pipeline.workers.preloaded", "sklearn.cluster", "pipeline.in_tiles", "pipeline.run"]
-"""What runs are forked with."""
-
-PROCESSES = multiprocessing.get_context("forkserver")
+PROCESSES = multiprocessing.get_context("spawn")
+"""Not the fork server: a run starts its own, with an environment that its workers need."""
 
 
 class HarmError(Exception):
@@ -79,7 +77,6 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--attack", choices=ATTACKS, action="append")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     arguments = parser.parse_args(given)
-    PROCESSES.set_forkserver_preload(_LOADED)
     settings = [f"tiling.max_points={arguments.max_points}", "execution.workers=1", *arguments.set]
     chance = random.Random(arguments.seed)
     done: Counter[str] = Counter()
