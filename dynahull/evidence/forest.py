@@ -1,8 +1,9 @@
 """A sum of decision trees, read from a plain data file and evaluated by compiled code.
 
-No tree is walked: the questions about one term are asked in the order of their limits, and each
-answer strikes out the leaves that can no longer be reached. The first leaf left of a tree is the
-one that a walk ends at (QuickScorer: Lucchese et al., SIGIR 2015).
+No tree is walked: each question strikes out the leaves that can no longer be reached, for a block
+of points at a time, and the first leaf left of a tree is the one that a walk ends at (QuickScorer:
+Lucchese et al., SIGIR 2015). The questions about one term come in the order of their limits: where
+all points of the block go left, so they do at those that follow.
 """
 
 from dataclasses import dataclass
@@ -15,17 +16,20 @@ from dynahull.compilation import compiled, inlined
 from dynahull.errors import InvalidParametersError
 from dynahull.threads import over_ranges, range_bounds
 
-MOST_LEAVES = 64
+MOST_LEAVES = 32
 """Of a tree: a bit each."""
 
 _SMALLEST_RANGE = 20_000
 """Points."""
 
-_SEQUENCE = np.uint64(0x03F79D71B4CB0A89)
-"""Of de Bruijn: each of its 64 windows of six bits is another number."""
+_BLOCK = 64
+"""Points at a time: their leaves stay in the cache."""
 
-_PLACES = np.zeros(64, np.int32)
-_PLACES[[(int(_SEQUENCE) << place) % 2**64 >> 58 for place in range(64)]] = np.arange(64)
+_SEQUENCE = np.uint32(0x077CB531)
+"""Of de Bruijn: each of its 32 windows of five bits is another number."""
+
+_PLACES = np.zeros(32, np.int32)
+_PLACES[[(int(_SEQUENCE) << place) % 2**32 >> 27 for place in range(32)]] = np.arange(32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +44,11 @@ class Forest:
         What is added to the sum of the leaves.
     begins : (terms + 1,) int32 array
         Where the questions about each term begin.
-    limit : (questions,) float64 array
+    limit : (questions,) float32 array
         What is no larger goes left; ascending for each term.
     tree : (questions,) int32 array
         The tree of a question.
-    kept : (questions,) uint64 array
+    kept : (questions,) uint32 array
         The leaves of its tree that can still be reached by what goes right, a bit each.
     missing_left : (questions,) bool array
         Whether a term that is NaN goes left.
@@ -59,9 +63,9 @@ class Forest:
     terms: tuple[str, ...]
     baseline: float
     begins: npt.NDArray[np.int32]
-    limit: npt.NDArray[np.float64]
+    limit: npt.NDArray[np.float32]
     tree: npt.NDArray[np.int32]
-    kept: npt.NDArray[np.uint64]
+    kept: npt.NDArray[np.uint32]
     missing_left: npt.NDArray[np.bool_]
     first_leaf: npt.NDArray[np.int32]
     value: npt.NDArray[np.float64]
@@ -90,14 +94,14 @@ class Forest:
                 ],
                 dtype=[("term", "i4"), ("limit", "f8"), ("tree", "i4"), ("missing_left", "?")],
             )
-            kept = np.array([each.kept for tree in trees for each in tree.questions], np.uint64)
+            kept = np.array([each.kept for tree in trees for each in tree.questions], np.uint32)
             order = np.argsort(asked, order=("term", "limit", "tree"), kind="stable")
             asked, kept = asked[order], kept[order]
             return cls(
                 names,
                 float(stored["baseline"]),
                 np.searchsorted(asked["term"], np.arange(len(names) + 1)).astype(np.int32),
-                np.ascontiguousarray(asked["limit"]),
+                _no_larger(asked["limit"]),
                 np.ascontiguousarray(asked["tree"]),
                 kept,
                 np.ascontiguousarray(asked["missing_left"]),
@@ -197,45 +201,62 @@ class _Tree:
         return self._walk(nodes, right, names, further(nodes[right]))
 
 
+def _no_larger(limits: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """Return the largest float32 up to each limit: no float32 lies between the two."""
+    nearest = limits.astype(np.float32)
+    below = np.nextafter(nearest, np.float32(-np.inf))
+    return np.where(nearest > limits, below, nearest)
+
+
 @inlined
 def _strike_out(
-    point: npt.NDArray[np.float32],
+    evidence: npt.NDArray[np.float32],
     begins: npt.NDArray[np.int32],
-    limit: npt.NDArray[np.float64],
+    limit: npt.NDArray[np.float32],
     tree: npt.NDArray[np.int32],
-    kept: npt.NDArray[np.uint64],
+    kept: npt.NDArray[np.uint32],
     missing_left: npt.NDArray[np.bool_],
-    left: npt.NDArray[np.uint64],
+    known: npt.NDArray[np.float32],
+    left: npt.NDArray[np.uint32],
 ) -> None:
-    """Leave those leaves of each tree that may be reached; the first of them is."""
-    left[:] = ~np.uint64(0)
-    for term in range(len(point)):
-        known = np.float64(point[term])
-        if np.isnan(known):
-            for question in range(begins[term], begins[term + 1]):
-                if not missing_left[question]:
-                    left[tree[question]] &= kept[question]
-            continue
+    """Leave those leaves of each tree that each point may reach; the first of them it does."""
+    count = len(evidence)
+    all_leaves = np.uint32(2**MOST_LEAVES - 1)
+    left[:] = all_leaves
+    known[:] = np.float32(-np.inf)  # where the block has no point
+    for term in range(evidence.shape[1]):
+        missing = False
+        most = np.float32(-np.inf)
+        for point in range(count):
+            known[point] = evidence[point, term]
+            missing |= np.isnan(known[point])
+            most = max(most, known[point])
         for question in range(begins[term], begins[term + 1]):
-            if known <= limit[question]:
+            bound, keeps, leaves = limit[question], kept[question], left[tree[question]]
+            if missing and not missing_left[question]:
+                for point in range(_BLOCK):
+                    leaves[point] &= all_leaves if known[point] <= bound else keeps
+            elif missing or most > bound:
+                for point in range(_BLOCK):
+                    leaves[point] &= keeps if known[point] > bound else all_leaves
+            else:
                 break
-            left[tree[question]] &= kept[question]
 
 
 @inlined
-def _first(leaves: np.uint64) -> int:
+def _first(leaves: np.uint32) -> int:
     """Return the place of the lowest bit that is set."""
-    lowest = leaves & (~leaves + np.uint64(1))
-    return int(_PLACES[(lowest * _SEQUENCE) >> np.uint64(58)])
+    lowest = np.uint32(leaves & (~leaves + np.uint32(1)))
+    return int(_PLACES[np.uint32(lowest * _SEQUENCE) >> np.uint32(27)])
 
 
 @compiled
 def _add_up(
     evidence: npt.NDArray[np.float32],
     begins: npt.NDArray[np.int32],
-    limit: npt.NDArray[np.float64],
+    limit: npt.NDArray[np.float32],
     tree: npt.NDArray[np.int32],
-    kept: npt.NDArray[np.uint64],
+    kept: npt.NDArray[np.uint32],
     missing_left: npt.NDArray[np.bool_],
     first_leaf: npt.NDArray[np.int32],
     value: npt.NDArray[np.float64],
@@ -244,34 +265,42 @@ def _add_up(
     end: int,
     found: npt.NDArray[np.float32],
 ) -> None:
-    left = np.empty(len(first_leaf) - 1, np.uint64)
-    for point in range(first, end):
-        _strike_out(evidence[point], begins, limit, tree, kept, missing_left, left)
-        total = baseline
+    left = np.empty((len(first_leaf) - 1, _BLOCK), np.uint32)
+    known = np.empty(_BLOCK, np.float32)
+    total = np.empty(_BLOCK)
+    for begin in range(first, end, _BLOCK):
+        block = evidence[begin : min(begin + _BLOCK, end)]
+        _strike_out(block, begins, limit, tree, kept, missing_left, known, left)
+        total[:] = baseline
         for number in range(len(left)):
-            total += value[first_leaf[number] + _first(left[number])]
-        found[point] = total
+            for point in range(len(block)):
+                total[point] += value[first_leaf[number] + _first(left[number, point])]
+        for point in range(len(block)):
+            found[begin + point] = total[point]
 
 
 @compiled
 def _add_changes(
     evidence: npt.NDArray[np.float32],
     begins: npt.NDArray[np.int32],
-    limit: npt.NDArray[np.float64],
+    limit: npt.NDArray[np.float32],
     tree: npt.NDArray[np.int32],
-    kept: npt.NDArray[np.uint64],
+    kept: npt.NDArray[np.uint32],
     missing_left: npt.NDArray[np.bool_],
     first_leaf: npt.NDArray[np.int32],
     changes: npt.NDArray[np.float64],
     found: npt.NDArray[np.float32],
 ) -> None:
-    left = np.empty(len(first_leaf) - 1, np.uint64)
-    for point in range(len(evidence)):
-        _strike_out(evidence[point], begins, limit, tree, kept, missing_left, left)
+    left = np.empty((len(first_leaf) - 1, _BLOCK), np.uint32)
+    known = np.empty(_BLOCK, np.float32)
+    for begin in range(0, len(evidence), _BLOCK):
+        block = evidence[begin : begin + _BLOCK]
+        _strike_out(block, begins, limit, tree, kept, missing_left, known, left)
         for number in range(len(left)):
-            leaf = first_leaf[number] + _first(left[number])
-            for group in range(found.shape[1]):
-                found[point, group] += changes[leaf, group]
+            for point in range(len(block)):
+                leaf = first_leaf[number] + _first(left[number, point])
+                for group in range(found.shape[1]):
+                    found[begin + point, group] += changes[leaf, group]
 
 
 @compiled
