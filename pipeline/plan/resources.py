@@ -19,7 +19,7 @@ _BYTES_A_POINT_IN_MEMORY = 120
 _BYTES_A_POINT_UNDER_CLOTH = 330
 """Of the same where the ground is found by `csf`."""
 
-EVIDENCE_BYTES = 500
+EVIDENCE_BYTES = 550
 """A point where evidence is weighed, beyond the others: sums over voxels, of which there are no
 more than points, and the terms of a batch."""
 
