@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tiling.atomic import atomic_file
 from tiling.chunk_store import Chunk, ChunkStore, joined
 from tiling.errors import ChunkError, GridError
-from tiling.formats.parquet import open_parquet
+from tiling.formats.parquet_file import open_parquet
 from tiling.output_file import create_file
 from tiling.pieces import read_tile
 

@@ -17,7 +17,7 @@ from pipeline.replacing import LABELS_FILE, RUN_FILE
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.field_values import field_values
-from tiling.formats.parquet import open_parquet
+from tiling.formats.parquet_file import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
 
 Points = NDArray[np.float64]

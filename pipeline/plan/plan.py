@@ -31,7 +31,7 @@ _BYTES_ON_DISK = 100
 _SCORES_ON_DISK = 48
 """A point of the map: densities, labels, and what else is kept of each row."""
 
-_EVIDENCE_ON_DISK = 260
+_EVIDENCE_ON_DISK = 300
 """A point of the map where evidence is weighed, at most: spread, terms that are kept, voxels."""
 
 _MICROSECONDS_A_POINT = 8.0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats import open_map
 from tiling.formats.base import MapReader
-from tiling.formats.parquet import open_parquet
+from tiling.formats.parquet_file import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
 
 

@@ -1,7 +1,6 @@
 """Parquet maps: columns x, y and z and whatever else, read and written through pyarrow."""
 
 import json
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
+from tiling.formats.parquet_file import open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
@@ -315,26 +315,6 @@ class _ParquetWriter(MapWriter):
         rest = table.slice(rows)
         self._gathered = [rest] if rest.num_rows else []
         self._rows, self._bytes = rest.num_rows, rest.nbytes
-
-
-@contextmanager
-def open_parquet(path: Path, **options: Any) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file of any name: Arrow itself takes names that are UTF-8, and no others.
-
-    Parameters
-    ----------
-    path : Path
-    options
-        Of `pyarrow.parquet.ParquetFile`.
-    """
-    with pa.OSFile(os.fsencode(path), "rb") as source, pq.ParquetFile(source, **options) as file:
-        yield file
-
-
-def row_count(path: Path) -> int:
-    """Return the number of rows of a file."""
-    with open_parquet(path) as file:
-        return int(file.metadata.num_rows)
 
 
 @contextmanager
