@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from benchmarks.training.fitting import (
     FOLDS,
-    FitOptions,
     Lesson,
+    Stored,
     Training,
-    fit_second,
     fold_of,
     second_terms,
 )
@@ -93,23 +92,20 @@ class Judged:
         return 100 * false / max(self.all_static, 1)
 
 
-def judge(training: Training, options: FitOptions, workers: int) -> list[Judged]:
-    """Fit a second round without each fold, and judge that fold's maps."""
-    tasks = [(training, fold, options) for fold in range(len(FOLDS))]
-    with ThreadPoolExecutor(workers) as pool:
-        return [each for found in pool.map(_judge_fold, tasks) for each in found]
-
-
-def _judge_fold(task: tuple[Training, int, FitOptions]) -> list[Judged]:
-    training, fold, options = task
+def judge(training: Training, seconds: Sequence[Stored], workers: int) -> list[Judged]:
+    """Judge the maps of each fold by the two rounds that have not seen it."""
     folds = [fold_of(each) for each in training.maps]
-    others = [lesson for lesson, of in zip(training.second, folds, strict=True) if of != fold]
-    forest = Forest.of(fit_second(others or training.second, options))
-    return [
-        Judged.of(each, forest.log_odds(second_terms(each, odds)))
-        for each, odds, of in zip(training.maps, training.odds, folds, strict=True)
-        if of == fold
-    ]
+
+    def of_fold(fold: int) -> list[Judged]:
+        forest = Forest.of(seconds[fold])
+        return [
+            Judged.of(each, forest.log_odds(second_terms(each, odds)))
+            for each, odds, left_out in zip(training.maps, training.odds, folds, strict=True)
+            if left_out == fold
+        ]
+
+    with ThreadPoolExecutor(workers) as pool:
+        return [each for found in pool.map(of_fold, range(len(FOLDS))) for each in found]
 
 
 def figures(judged: Sequence[Judged], confidence: float) -> Iterator[str]:

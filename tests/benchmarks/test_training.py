@@ -10,8 +10,9 @@ from benchmarks.training.fitting import (
     FitOptions,
     Lesson,
     Sample,
+    averaged,
     boosted,
-    fit_second,
+    fit_seconds,
     fold_of,
     stored,
     train,
@@ -80,15 +81,24 @@ def test_every_kind_of_scene_is_left_out_once():
 def test_training_finds_what_moved_on_kinds_left_out():
     maps = [a_map(number, kinds[0]) for number, kinds in enumerate(FOLDS)]
     training = train(maps, SMALL, workers=1)
-    judged = judge(training, SMALL, workers=1)
+    seconds = fit_seconds(training, SMALL, workers=1)
+    judged = judge(training, seconds, workers=1)
     assert [each.name for each in judged] == [each.name for each in maps]
     assert min(each.f1(0.5) for each in judged) > 60
     assert len(list(figures(judged, 0.5))) == 2 + len(FOLDS)
     earned = list(ablation(training, workers=1))
     assert earned[1].startswith("density_1.2")
     EvidenceModel.of(
-        {"first": training.first[0], "second": fit_second(training.second, SMALL)}
+        {"first": averaged(training.first), "second": averaged(seconds)}
     )  # what is written is what the package reads
+
+
+def test_the_mean_of_models_has_the_mean_of_their_log_odds():
+    models = [stored(boosted(lesson(), TERMS, 20, leaves), TERMS) for leaves in (4, 12)]
+    terms = lesson().terms
+    odds = [Forest.of(model).log_odds(terms) for model in models]
+    found = Forest.of(averaged(models)).log_odds(terms)
+    assert np.allclose(found, np.mean(odds, axis=0), atol=1e-3)
 
 
 def test_figures_are_counted_over_all_points():
