@@ -219,7 +219,7 @@ def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security |
     texts = (made.tls_ca_file, made.tls_worker_cert, made.tls_worker_key)
     for path, text in zip(keys.values(), texts, strict=True):
         path.unlink(missing_ok=True)
-        path.touch(0o600)
+        path.touch(0o600, exist_ok=False)  # never what somebody else put there
         path.write_text(text, encoding="ascii")
     return _of_files(TLSParameters(**{name: str(path) for name, path in keys.items()}))
 
