@@ -23,8 +23,11 @@ from pipeline.simulation.meshes import random_parameters, simulate_meshes
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
 
-_LARGEST = 350_000
-"""Points of a map: a window of it is cut out where there are more."""
+_LARGEST, _MOST = 350_000, 900_000
+"""Points of a map: a window of it is cut out where there are more; narrow windows hold more."""
+
+_NARROW = 4.0
+"""Metres from the middle of a window to its sides: as far as surroundings are looked at."""
 
 _RIM = 1.6
 """Metres: nothing is learnt so near the edge of a window, where surroundings are missing."""
@@ -152,7 +155,9 @@ def _window(
         among = np.flatnonzero(truth == MOVED) if seek else np.zeros(0, np.intp)
         centre = xyz[random.choice(among) if len(among) else random.integers(len(xyz)), :2]
         away = np.abs(xyz[:, :2] - centre).max(axis=1)
-        half = np.partition(away, _LARGEST)[_LARGEST]
+        most = min(_MOST, len(away) - 1)
+        ranked = np.partition(away, (_LARGEST, most))
+        half = min(max(ranked[_LARGEST], _NARROW), ranked[most])
         inside = np.flatnonzero(away <= half)
         if np.mean(truth[inside] == MOVED) < _MOST_MOVED:
             break

@@ -1,6 +1,6 @@
 """Everything that changes its place while the map is recorded, as triangles at any time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +111,7 @@ class Movers:
         near = np.abs(rows[:, 2] + 1 - sensor[2]) < 2.5
         push = np.where(near, np.maximum(0.0, _PUSHED - distance), 0.0)
         rows[:, :2] += away / distance[:, None] * push[:, None]
-        seen = np.flatnonzero(distance < reach)
+        seen = np.flatnonzero((distance < reach) & (rows[:, 2] > _AWAY[2] / 2))
         heights = self.bodies.height[seen]
         bodies = Bodies(
             heights, self.bodies.build[seen], self.bodies.coat[seen], self.bodies.swing[seen],
@@ -168,7 +168,9 @@ def populate(
     for plan in plans:
         speed = float(np.clip(random.normal(1.15, 0.25), 0.4, 1.9))
         aside = float(random.normal(scale=0.5))
-        tracks.append(follow(plan, guide, speed, duration, random, aside))
+        track = follow(plan, guide, speed, duration, random, aside)
+        visits = parameters.visiting > 0 and random.random() < parameters.visiting
+        tracks.append(_visit(track, random) if visits else track)
     rigid = []
     for plan in errands:
         track = follow(plan, guide, float(random.uniform(0.4, 1.6)), duration, random, shift=0.0)
@@ -186,6 +188,16 @@ def populate(
         albedo=random.uniform(0.06, 0.8, total).astype(np.float32),
         changes_place=np.array(changes, dtype=np.bool_),
     )
+
+
+def _visit(track: Track, random: np.random.Generator) -> Track:
+    """Return who is there for 4 to 25 seconds only, and comes walking if he ever walks."""
+    walks = np.flatnonzero(track.pace > 0.3)
+    begin = random.choice(walks) if len(walks) else random.integers(len(track.pace))
+    there = slice(begin, begin + int(random.uniform(4, 25) / STEP))
+    place = np.broadcast_to(_AWAY, track.place.shape).copy()
+    place[there] = track.place[there]
+    return replace(track, place=place)
 
 
 def seat_people(stage: Stage, count: int) -> None:

@@ -105,6 +105,9 @@ class MeshParameters(BaseModel):
     lingering: float = Field(
         0.2, ge=0, le=1, description="Share of them who stand at one place most or all of the time."
     )
+    visiting: float = Field(
+        0.0, ge=0, le=1, description="Share of them who are there for some seconds only."
+    )
     seated: int = Field(3, ge=0, description="People who sit or stand all the time.")
     vehicles: int = Field(2, ge=0, description="Cars, forklifts, robots, doors, chairs: wheels.")
     glass: float = Field(0.5, ge=0, le=1, description="How much of a scene is glass.")
@@ -194,7 +197,7 @@ def random_parameters(
         str(random.choice(["vlp16", "vlp16", "ring32", "ring64", "os64", "mid360", "mid360"]))
     )
     kind, sensor = kind or drawn_kind, sensor or drawn_sensor
-    shares = [0.1, 0.2, 0.7] if kind is MeshSceneKind.ROOM else [0.5, 0.35, 0.15]
+    shares = [0.1, 0.15, 0.75] if kind is MeshSceneKind.ROOM else [0.45, 0.3, 0.25]
     mode = DriveMode(str(random.choice(["through", "stop_and_go", "stand"], p=shares)))
     outdoors = not kind.indoors
     vehicle = outdoors and random.random() < 0.5
@@ -206,11 +209,11 @@ def random_parameters(
     good = random.random() < 0.5  # a map as one hopes for: whole scans, small drift, no filter
     scans = int(np.exp(u(np.log(60), np.log(300 if good else 500))))
     total = np.exp(u(np.log(2e6), np.log(4e6)) if good else u(np.log(4e5), np.log(3e6)))
-    if random.random() < 0.25:  # a short, hurried drive: most places are hardly scanned
+    if random.random() < 0.2:  # a short, hurried drive: most places are hardly scanned
         scans = int(np.exp(u(np.log(6), np.log(60))))
         total = np.exp(u(np.log(8e4), np.log(6e5)))
     elif mode is DriveMode.STAND:  # sees the same walls again and again
-        total *= u(1, 4)
+        total *= u(1, 6)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     drawn: dict[str, Any] = {
         "kind": kind,
@@ -239,12 +242,13 @@ def random_parameters(
         "mixed": float(u(0, 0.3)),
         "beam": float(u(0.05, 0.25)),
     }
-    if sensor is SensorKind.RING64:  # looks 2 degrees up: stands as high as people, or on a car
+    if sensor is SensorKind.RING64 and outdoors:  # looks 2 degrees up: stands high, or on a car
         drawn["sensor_height"] = max(drawn["sensor_height"], float(u(1.2, 1.9)))
     drawn |= {
         # What moves.
         "people": 0 if still else people,
-        "lingering": float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
+        "lingering": float(u(0.0, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
+        "visiting": float(u(0, 1)) if random.random() < 0.4 else 0.0,
         "seated": int(u(0, 8)) if random.random() < 0.5 else 0,
         "vehicles": 0
         if still
