@@ -26,7 +26,8 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     Parameters
     ----------
     arguments : sequence of Path or str
-        Each is a file; or a folder, which means the maps directly in it; or a pattern
+        Each is a file; or a folder, which means the maps directly in it, and in its partitions
+        (folders called `key=value`, as Spark writes them, at any depth); or a pattern
         (`*`, `?`, `[...]`, and `**` for folders at any depth), which means the maps it matches.
         What exists by that very name is never taken for a pattern. A file named outright is
         returned whatever its suffix; in folders and patterns, hidden files and those without a
@@ -231,7 +232,7 @@ def _files_of(argument: Path | str) -> list[Path]:
         raise NoMapError("an empty name", "no file or folder")
     path = Path(argument)
     if path.is_dir():
-        candidates = list(path.iterdir())
+        candidates = list(_in_folder(path))
         place = "a folder"
     elif path.exists() or not glob.has_magic(str(argument)):
         if not path.exists():
@@ -248,6 +249,20 @@ def _files_of(argument: Path | str) -> list[Path]:
         others = f"{len(files)} other files" if files else "no files"
         raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")
     return sorted(maps, key=_natural_order)
+
+
+def is_partition(folder: Path) -> bool:
+    """Tell whether a folder is called as a partition of a table is, `key=value`."""
+    return "=" in folder.name.lstrip("=")
+
+
+def _in_folder(folder: Path) -> Iterator[Path]:
+    """Yield what lies in a folder and in its partitions."""
+    for each in folder.iterdir():
+        if is_partition(each) and each.is_dir() and not each.is_symlink():
+            yield from _in_folder(each)
+        else:
+            yield each
 
 
 def _natural_order(path: Path) -> tuple[list[list[tuple[str, int]]], str]:
