@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import NoMapError
-from tiling.formats import MAP_SUFFIXES, open_map
+from tiling.formats import MAP_SUFFIXES, OTHERS_TOO, open_map
 from tiling.formats.base import MapReader
 from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
 
@@ -31,7 +31,8 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
         (`*`, `?`, `[...]`, and `**` for folders at any depth), which means the maps it matches.
         What exists by that very name is never taken for a pattern. A file named outright is
         returned whatever its suffix; in folders and patterns, hidden files and those without a
-        suffix of `MAP_SUFFIXES` are passed over.
+        suffix of `MAP_SUFFIXES` are passed over, and so are those with one of `OTHERS_TOO` where
+        there are maps with another.
 
     Returns
     -------
@@ -245,6 +246,7 @@ def _files_of(argument: Path | str) -> list[Path]:
         place = "a pattern"
     files = [each for each in candidates if each.is_file() and not each.name.startswith(".")]
     maps = [each for each in files if each.suffix.lower() in MAP_SUFFIXES]
+    maps = [each for each in maps if each.suffix.lower() not in OTHERS_TOO] or maps
     if not maps:
         others = f"{len(files)} other files" if files else "no files"
         raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")
