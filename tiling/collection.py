@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import NoMapError
-from tiling.formats import MAP_SUFFIXES, open_map
+from tiling.formats import MAP_SUFFIXES, OTHERS_TOO, open_map
 from tiling.formats.base import MapReader
 from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
 
@@ -26,11 +26,13 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     Parameters
     ----------
     arguments : sequence of Path or str
-        Each is a file; or a folder, which means the maps directly in it; or a pattern
+        Each is a file; or a folder, which means the maps directly in it, and in its partitions
+        (folders called `key=value`, as Spark writes them, at any depth); or a pattern
         (`*`, `?`, `[...]`, and `**` for folders at any depth), which means the maps it matches.
         What exists by that very name is never taken for a pattern. A file named outright is
         returned whatever its suffix; in folders and patterns, hidden files and those without a
-        suffix of `MAP_SUFFIXES` are passed over.
+        suffix of `MAP_SUFFIXES` are passed over, and so are those with one of `OTHERS_TOO` where
+        there are maps with another.
 
     Returns
     -------
@@ -231,7 +233,7 @@ def _files_of(argument: Path | str) -> list[Path]:
         raise NoMapError("an empty name", "no file or folder")
     path = Path(argument)
     if path.is_dir():
-        candidates = list(path.iterdir())
+        candidates = list(_in_folder(path))
         place = "a folder"
     elif path.exists() or not glob.has_magic(str(argument)):
         if not path.exists():
@@ -244,10 +246,25 @@ def _files_of(argument: Path | str) -> list[Path]:
         place = "a pattern"
     files = [each for each in candidates if each.is_file() and not each.name.startswith(".")]
     maps = [each for each in files if each.suffix.lower() in MAP_SUFFIXES]
+    maps = [each for each in maps if each.suffix.lower() not in OTHERS_TOO] or maps
     if not maps:
         others = f"{len(files)} other files" if files else "no files"
         raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")
     return sorted(maps, key=_natural_order)
+
+
+def is_partition(folder: Path) -> bool:
+    """Tell whether a folder is called as a partition of a table is, `key=value`."""
+    return "=" in folder.name.lstrip("=")
+
+
+def _in_folder(folder: Path) -> Iterator[Path]:
+    """Yield what lies in a folder and in its partitions."""
+    for each in folder.iterdir():
+        if is_partition(each) and each.is_dir() and not each.is_symlink():
+            yield from _in_folder(each)
+        else:
+            yield each
 
 
 def _natural_order(path: Path) -> tuple[list[list[tuple[str, int]]], str]:

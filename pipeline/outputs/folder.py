@@ -25,7 +25,8 @@ from pipeline.replacing import (
     refuse_to_replace,
     remove_half_published,
 )
-from tiling.formats import MapReader
+from tiling.collection import is_partition
+from tiling.formats import MAP_SUFFIXES, MapReader
 from tiling.output_file import create_file, sync_path, writing_only_into
 
 _ASIDE = "earlier"
@@ -84,8 +85,11 @@ class OutputNames:
 def default_folder(paths: Sequence[Path]) -> Path:
     """Return `<map>_dynahull`, named after the only file, or after the folder of several."""
     first = located(paths[0])
-    name = _stem(first) if len(paths) == 1 else first.parent.name
-    return Path(f"{name}_dynahull")
+    if len(paths) > 1:
+        first = first.parents[len(in_partitions(first).parts) - 1]
+        if first.suffix.lower() not in MAP_SUFFIXES:
+            return Path(f"{first.name}_dynahull")
+    return Path(f"{_stem(first)}_dynahull")
 
 
 @contextmanager
@@ -180,9 +184,10 @@ def _publish(staging: Path, folder: Path) -> None:
             rename(staging / name, folder / name)
         for parent in {(folder / name).parent for name in files}:
             sync_path(parent)
-    for parent in {(folder / name).parent for name in earlier} - {folder}:
-        if not any(parent.iterdir()):
-            parent.rmdir()
+    left = {parent for name in earlier for parent in name.parents} - {Path()}
+    for parent in sorted(left, key=lambda each: len(each.parts), reverse=True):
+        if not any((folder / parent).iterdir()):
+            (folder / parent).rmdir()
 
 
 @contextmanager
@@ -221,15 +226,25 @@ def located(path: Path) -> Path:
     return path.parent.resolve() / path.name
 
 
+def in_partitions(path: Path) -> Path:
+    """Return a file's name with the partitions (`key=value`) of a table that it lies in."""
+    name = Path(path.name)
+    for folder in path.parents:
+        if not is_partition(folder):
+            break
+        name = folder.name / name
+    return name
+
+
 def _distinct_names(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
     """Return names for files written like some others: their own, as far as they differ.
 
-    Where names are equal, the files' folders are put before them; where only the suffix of the
-    output makes them so (`a.copc.laz` and `a.laz`), all keep their whole names.
+    Partitions stay before them, and where names are equal, the files' folders; where only the
+    suffix of the output makes them so (`a.copc.laz` and `a.laz`), all keep their whole names.
     """
-    own = [Path(path.name) for path in paths]
+    absolute = [located(path) for path in paths]
+    own = [in_partitions(path) for path in absolute]
     if len(set(own)) < len(own):
-        absolute = [located(path) for path in paths]
         common = Path(os.path.commonpath([path.parent for path in absolute]))
         own = [path.relative_to(common) for path in absolute]
     names = [

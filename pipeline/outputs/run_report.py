@@ -207,9 +207,8 @@ class RunReport(BaseModel):
                 f"{threshold:>14}{cluster.removed:>12,}"
             )
         folder = Path(self.output)
-        written = [folder / name for file in self.files for name in file.outputs]
-        if len(self.files) > 1:
-            written = list(dict.fromkeys(path.parent for path in written))
+        names = [name for file in self.files for name in file.outputs]
+        written = [folder / each for each in dict.fromkeys(Path(name).parts[0] for name in names)]
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
         if REPORT_FILE in self.outputs:

@@ -152,6 +152,32 @@ def test_names_of_one_and_of_several_files(maps):
     assert names(maps[0], maps[2])[:2] == ["static/a/1.npy", "static/b/1.npy"]
 
 
+def test_files_of_partitions_keep_their_places(tmp_path):
+    names = ["table.parquet/day=1/part-0.npy", "table.parquet/day=2/part-1.npy"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True)
+        np.save(tmp_path / name, np.zeros((1, 3)))
+    chosen = OutputNames.of([open_map(tmp_path / name) for name in names])
+    assert [str(name) for name in chosen.static] == [
+        "static/day=1/part-0.npy",
+        "static/day=2/part-1.npy",
+    ]
+    with output_folder(tmp_path / "out", [*chosen.static, Path("run.json")]) as staging:
+        for name in chosen.static:
+            (staging / name).parent.mkdir(parents=True, exist_ok=True)
+            (staging / name).write_text("new", encoding="utf-8")
+        report = {
+            "version": "",
+            "input_hash": "",
+            "outputs": [*map(str, chosen.static), "run.json"],
+        }
+        (staging / "run.json").write_text(json.dumps(report), encoding="utf-8")
+    assert (tmp_path / "out/static/day=2/part-1.npy").exists()
+    with output_folder(tmp_path / "out", RESULTS) as staging:
+        write_results(staging)
+    assert not (tmp_path / "out/static").exists()
+
+
 def test_names_that_only_their_suffix_made_different_stay_different(tmp_path):
     for name in ("a.npy", "a.NPY"):
         with (tmp_path / name).open("wb") as stream:
@@ -166,6 +192,8 @@ def test_names_that_only_their_suffix_made_different_stay_different(tmp_path):
         (["x/big_map.pcd"], "big_map_dynahull"),
         (["x/lone.copc.laz"], "lone_dynahull"),
         (["x/campus/1.pcd", "x/campus/2.pcd"], "campus_dynahull"),
+        (["x/table.parquet/day=1/a", "x/table.parquet/day=2/a"], "table_dynahull"),
+        (["x/v1.2/1.pcd", "x/v1.2/2.pcd"], "v1.2_dynahull"),
     ],
 )
 def test_the_default_folder_is_named_after_the_map(paths, expected):

@@ -30,6 +30,16 @@ def test_a_folder_means_the_maps_in_it_in_natural_order(folder):
     assert names(".") == ["Cell_1.npy", "cell_2.npy", "cell_10.npy"]
 
 
+def test_a_folder_of_partitions_is_one_map(tmp_path):
+    names = ["day=2/hour=1/part-1.npy", "day=10/part-0.npy", "day=2/hour=1/part-0.npy"]
+    for name in [*names, "day=2/_SUCCESS", "day=2/.part-1.npy.crc", "other/part-0.npy"]:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "day=2" / "again=1").symlink_to(tmp_path)
+    found = [str(path.relative_to(tmp_path)) for path in find_map_files([tmp_path])]
+    assert found == [names[2], names[0], names[1]]
+
+
 def test_a_pattern_means_the_maps_it_matches(folder):
     assert names("cell_*") == ["cell_2.npy", "cell_10.npy"]
     assert names("*") == ["Cell_1.npy", "cell_2.npy", "cell_10.npy"]

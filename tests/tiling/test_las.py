@@ -1,6 +1,7 @@
 """LAS, LAZ and COPC against laspy, against real files, and against broken ones."""
 
 import random
+import re
 import struct
 import time
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.errors import MapFormatError, PointCountError
-from tiling.formats import open_map
+from tiling.formats import Field, open_map
 from tiling.formats.las.fields import standard_fields
 from tiling.formats.las.header import read_header
 from tiling.formats.las.reader import LasReader
@@ -30,7 +31,6 @@ REFUSED = {
     "laszip-test__broken_type.laz": "LASzip items (type, bytes)",
     "pdal-test__1.2-no-points.las": "room for 0",
     "pdal-test__1.2-with-color-clipped.las": "room for 1064",
-    "pdal-test__bad_vlr_count.las": "3 VLRs before the points",
 }
 NOT_READ_BY_LASPY = {
     # Read by LASzip, which does not need the chunk tables that lazrs looks for.
@@ -397,22 +397,87 @@ BROKEN: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "text": (".las", lambda p: p.write_bytes(b"x y z\n1 2 3\n" * 99), '"LASF", found'),
     "cut header": (".las", lambda p: cut(p, 200), "a header of 227 bytes"),
     "version": (".las", lambda p: patched(p, 25, b"\x09"), "found 1.9 at byte 24"),
-    "header size": (".las", lambda p: patched(p, 94, b"\xe3\x00"), "375 bytes or more"),
+    "header size": (".las", lambda p: patched(p, 94, b"\xe2\x00"), "375 bytes or more"),
+    "shorter header": (".las", lambda p: patched(p, 94, b"\xe3\x00"), "points counted"),
     "points beyond": (".las", lambda p: patched(p, 96, b"\xff\xff\xff\x7f"), "at byte 96"),
-    "VLR count": (".las", lambda p: patched(p, 100, b"\xff\xff\xff\xff"), "4294967295 VLRs"),
     "format": (".las", lambda p: patched(p, 104, b"\x0b"), "found 11 at byte 104"),
     "record of 0": (".las", lambda p: patched(p, 105, b"\0\0"), "found 0 bytes at byte 105"),
     "scale": (".las", lambda p: patched(p, 131, bytes(8)), "scale of x other than 0"),
     "scale nan": (".laz", lambda p: patched(p, 139, b"\xff" * 8), "scale nan"),
     "offset inf": (".las", lambda p: patched(p, 171, struct.pack("<d", np.inf)), "offset inf"),
-    "EVLR count": (".las", lambda p: patched(p, 243, b"\xff\xff\xff\xff"), "4294967295 EVLRs"),
-    "EVLR offset": (".las", lambda p: patched(p, 235, b"\x01"), "EVLR"),
     "count": (".las", lambda p: patched(p, 247, b"\xff" * 7), "room for"),
     "cut points": (".las", lambda p: cut(p, 1000), "found room for"),
     "no laszip VLR": (".las", lambda p: patched(p, 104, b"\x86"), "a laszip VLR"),
     "LAZ count": (".laz", lambda p: patched(p, 247, b"\xff" * 7), "LAZ chunks up to byte"),
-    "cut LAZ": (".laz", lambda p: cut(p, p.stat().st_size - 3000), "EVLR"),
+    "cut LAZ": (".laz", lambda p: cut(p, p.stat().st_size - 3000), "LAZ chunks up to byte"),
 }
+
+
+def without_evlrs(path: Path) -> None:
+    cut(path, int.from_bytes(path.read_bytes()[235:243], "little"))
+
+
+HARMLESS: dict[str, tuple[Callable[[Path], None], str]] = {
+    "one VLR too many": (lambda p: patched(p, 100, bytes([2 + p.match("*.laz")])), "counts . VLRs"),
+    "VLR count": (lambda p: patched(p, 100, b"\xff\xff\xff\xff"), "counts 4294967295 VLRs"),
+    "EVLR count": (lambda p: patched(p, 243, b"\xff\xff\xff\xff"), "counts 4294967295 EVLRs"),
+    "EVLR offset": (without_evlrs, "counts 1 EVLRs, and 0 are there"),
+    "EVLR cut off": (lambda p: cut(p, p.stat().st_size - 7), "counts 1 EVLRs, and 0 are there"),
+    "header of 227 bytes": (lambda p: shorten_header(p, 227), "has 227 bytes, and that of LAS 1.4"),
+    "header of 374 bytes": (lambda p: shorten_header(p, 374), "has 374 bytes, and that of LAS 1.4"),
+}
+
+
+def shorten_header(path: Path, size: int) -> None:
+    content = bytearray(path.read_bytes())
+    evlrs = int.from_bytes(content[235:243], "little")
+    start = int.from_bytes(content[94:96], "little")
+    cut_off = start - size
+    content[107:111] = content[247:251]  # the older count, which is what is left
+    content[94:96] = size.to_bytes(2, "little")
+    points = int.from_bytes(content[96:100], "little")
+    content[96:100] = (points - cut_off).to_bytes(4, "little")
+    if path.match("*.laz"):
+        table = int.from_bytes(content[points : points + 8], "little", signed=True)
+        content[points : points + 8] = (table - cut_off).to_bytes(8, "little", signed=True)
+    path.write_bytes(bytes(content[:size] + content[start:evlrs]))
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("case", HARMLESS)
+@pytest.mark.parametrize("labelled", [False, True])
+def test_headers_that_lie_harmlessly_are_read_with_a_note(tmp_path, suffix, case, labelled):
+    """The points are all there; what is written of them is sound, and opens in laspy."""
+    spoil, note = HARMLESS[case]
+    path, output = tmp_path / f"map{suffix}", tmp_path / f"out{suffix}"
+    las_file(path, evlrs=True)
+    expected = records_of(LasReader(path))
+    spoil(path)
+    reader = LasReader(path)
+    assert any(re.search(note, each) for each in reader.description.notes), reader.description
+    assert np.array_equal(records_of(reader), expected)
+    if labelled:
+        extended = reader.extended([Field("label", "uint8")])
+        with extended.writer(output, len(expected)) as writer:
+            for batch in reader.batches():
+                labels = np.full(len(batch.xyz), 3, np.uint8)
+                writer.write(extended.extend(batch, [labels]))
+        las = laspy.read(output)
+        assert (las["label"] == 3).all()
+        assert np.array_equal(las.X, expected[:, :4].copy().view("<i4")[:, 0])
+    else:
+        write_selected(reader, output, np.ones(len(expected), bool), 1000)
+        assert np.array_equal(records_of(LasReader(output)), expected)
+        if "header" not in case:
+            assert laspy_bytes(output) == expected.tobytes()
+            assert LasReader(output).description.notes == ()
+
+
+@pytest.mark.parametrize("name", ["las01_13_header227.las", "las02_vlr_count.las"])
+def test_cases_that_lie_harmlessly(shared_data, name):
+    reader = LasReader(shared_data / "cases" / name)
+    assert len(reader.description.notes) == 1
+    assert len(records_of(reader)) == 6000
 
 
 @pytest.mark.parametrize("case", BROKEN)

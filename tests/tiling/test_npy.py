@@ -220,6 +220,85 @@ def test_other_entries_are_copied(tmp_path, rewrite):
     assert len(np.load(copy)["arr_0"]) == 4
 
 
+def test_python_objects_beside_the_points_are_copied_and_never_unpickled(tmp_path, rewrite):
+    path = tmp_path / "map.npz"
+    path.write_bytes(npz(points=np.ones((9, 3)), meta=np.array({"by": "hand"}, dtype=object)))
+    with zipfile.ZipFile(path) as archive:
+        pickled = archive.read("meta.npy")[:-1] + b"not a pickle any more"
+    content = {"points": npy(np.ones((9, 3))), "meta": pickled}
+    path.write_bytes(
+        unsound(lambda to: [to.writestr(f"{name}.npy", each) for name, each in content.items()])
+    )
+    reader = open_map(path)
+    (note,) = reader.description.notes
+    assert "'meta' holds Python objects, which are never unpickled" in note
+    with zipfile.ZipFile(rewrite(reader, tmp_path / "copy.npz", np.arange(9) > 4, 2)) as archive:
+        assert archive.read("meta.npy") == pickled
+
+
+@pytest.mark.parametrize(
+    ("arrays", "taken"),
+    [
+        ({"pcd": np.ones((9, 3))}, "pcd"),
+        ({"cloud": np.ones((9, 3)), "pose": np.eye(4)}, "cloud"),
+        ({"cloud": np.ones((9, 4), "f4"), "ids": np.ones(9)}, "cloud"),
+        ({"rgb": np.ones((9, 3), "u1"), "vertices": np.ones((9, 3))}, "vertices"),
+        ({"table": np.ones(9, [("x", "f8"), ("y", "f8"), ("z", "f8")])}, "table"),
+        ({"normals": np.ones((9, 3)), "vertices": np.ones((9, 3))}, None),
+        ({"pose": np.eye(4), "other": np.eye(4)}, None),
+    ],
+)
+def test_the_only_array_that_can_be_meant_is_taken(tmp_path, arrays, taken):
+    path = tmp_path / "map.npz"
+    path.write_bytes(npz(**arrays))
+    if taken is None:
+        with pytest.raises(MapFormatError, match="only one that can hold points"):
+            open_map(path)
+    else:
+        assert open_map(path).description.notes == (f"The points are taken from array {taken!r}.",)
+        assert open_map(path).description.point_count == 9
+
+
+@pytest.mark.parametrize("archive", [False, True])
+@pytest.mark.parametrize("named", [False, True])
+def test_organised_arrays_are_read_row_by_row(tmp_path, read_xyz, rewrite, archive, named):
+    points = np.random.default_rng(1).normal(size=(4, 5, 3))
+    array = points
+    if named:
+        array = np.empty((4, 5), [("x", "f8"), ("y", "f8"), ("z", "f8")])
+        for axis, name in enumerate("xyz"):
+            array[name] = points[..., axis]
+    path = tmp_path / ("map.npz" if archive else "map.npy")
+    beside = np.arange(20, dtype="u2").reshape(4, 5)
+    other = np.arange(4)
+    path.write_bytes(npz(points=array, ring=beside, other=other) if archive else npy(array))
+    reader = open_map(path)
+    expected = "The organised cloud (4 x 5) becomes an unorganised one, a point a row."
+    assert expected in reader.description.notes
+    np.testing.assert_array_equal(read_xyz(reader, 7), points.reshape(-1, 3))
+    chosen = np.arange(20) % 3 == 0
+    copy = np.load(rewrite(reader, path.with_stem("copy"), chosen, 7))
+    stored = copy["points"] if archive else copy
+    assert stored.tobytes() == array.reshape(-1, *points.shape[2:] * (not named))[chosen].tobytes()
+    if archive:
+        np.testing.assert_array_equal(copy["ring"], beside.reshape(-1)[chosen])
+        np.testing.assert_array_equal(copy["other"], other)
+
+
+@pytest.mark.parametrize("shape", [(3, 40, 50), (40, 50, 2), (40, 50, 17), (2, 3, 4, 3)])
+def test_arrays_of_other_shapes_are_refused(tmp_path, shape):
+    (tmp_path / "map.npy").write_bytes(npy(np.zeros(shape)))
+    with pytest.raises(MapFormatError, match="a point a row"):
+        open_map(tmp_path / "map.npy")
+
+
+@pytest.mark.parametrize("case", ["npz02_meta.npz", "npz06_key.npz", "npy03_organised.npy"])
+def test_cases_are_read_with_a_note(shared_data, read_xyz, case):
+    reader = open_map(shared_data / "cases" / case)
+    assert len(reader.description.notes) == 1
+    assert read_xyz(reader).shape == (6000, 3)
+
+
 def lying(claimed_rows: int, claimed_size: int) -> bytes:
     """An archive whose one entry says that it holds far more than it does."""
     content = io.BytesIO()

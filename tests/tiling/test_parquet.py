@@ -1,6 +1,7 @@
 import io
 import json
 import struct
+from decimal import Decimal
 
 import numpy as np
 import pyarrow as pa
@@ -197,6 +198,84 @@ def test_large_row_groups_are_read_in_small_batches(tmp_path):
         assert len(batch.xyz) <= 1000
         held.append(pa.total_allocated_bytes() - before)
     assert max(held) < table.nbytes
+
+
+def wkb(points: np.ndarray, order: str, kind: int) -> list[bytes]:
+    head = struct.pack(f"{order}BI", order == "<", kind)
+    return [head + struct.pack(f"{order}3d", *point) for point in points]
+
+
+POINTS = np.random.default_rng(2).normal(size=(9, 3)).round(3)
+GEO = json.dumps({"primary_column": "geometry", "columns": {"geometry": {"crs": None}}})
+OF_ONE_COLUMN = {
+    "xyz": pa.FixedSizeListArray.from_arrays(POINTS.reshape(-1), 3),
+    "xyz of any length": pa.array(POINTS.tolist(), pa.list_(pa.float32())),
+    "geometry little": pa.array(wkb(POINTS, "<", 1001)),
+    "geometry big, PostGIS": pa.array(wkb(POINTS, ">", 0x80000001), pa.large_binary()),
+    "geometry native": pa.StructArray.from_arrays([*POINTS.T], names=[*"xyz"]),
+    "geometry interleaved": pa.FixedSizeListArray.from_arrays(POINTS.reshape(-1), 3),
+}
+
+
+@pytest.mark.parametrize("kind", OF_ONE_COLUMN)
+@pytest.mark.parametrize("missing", [False, True])
+def test_points_in_one_column(tmp_path, rewrite, read_xyz, kind, missing):
+    points, expected = OF_ONE_COLUMN[kind], POINTS.copy()
+    if kind == "xyz of any length":
+        expected = expected.astype("f4").astype("f8")
+    if missing:
+        points = pa.concat_arrays([points[:4], pa.nulls(1, points.type), points[5:]])
+        expected[4] = np.nan
+    table = pa.table({kind.split()[0]: points, "n": np.arange(9)})
+    table = table.replace_schema_metadata({"geo": GEO})
+    path = tmp_path / "map.parquet"
+    path.write_bytes(parquet(table, row_group_size=5))
+    reader = open_map(path)
+    np.testing.assert_array_equal(read_xyz(reader, 2), expected)
+    chosen = np.arange(9) % 3 > 0
+    copy = pq.read_table(rewrite(reader, tmp_path / "copy.parquet", chosen, 2))
+    stored = pq.read_table(path)
+    assert copy.schema.equals(stored.schema, check_metadata=True)
+    assert copy.equals(stored.filter(pa.array(chosen)))
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([b"\1" + bytes(20)], "expected points of 29 bytes .* found one of 21 bytes"),
+        (wkb(POINTS[:1], "<", 1), "found one of type 1"),
+        ([b"\7" + wkb(POINTS[:1], "<", 1001)[0][1:]], "found 7"),
+    ],
+)
+def test_geometry_that_is_no_points(tmp_path, points, message):
+    path = tmp_path / "map.parquet"
+    table = pa.table({"geometry": points}).replace_schema_metadata({"geo": GEO})
+    path.write_bytes(parquet(table))
+    with pytest.raises(MapFormatError, match=message):
+        list(open_map(path).batches())
+
+
+def test_lists_of_too_few_numbers_are_refused(tmp_path):
+    path = tmp_path / "map.parquet"
+    path.write_bytes(parquet(pa.table({"xyz": [[1.0, 2.0, 3.0], [1.0, 2.0]]})))
+    with pytest.raises(MapFormatError, match="expected a whole Parquet file"):
+        list(open_map(path).batches())
+
+
+def test_decimals(tmp_path, rewrite, read_xyz):
+    numbers = [Decimal("1.0001"), Decimal("-12345678.9012"), None]
+    columns = {axis: pa.array(numbers, pa.decimal128(12, 4)) for axis in "xyz"}
+    path = tmp_path / "map.parquet"
+    path.write_bytes(parquet(pa.table(columns)))
+    expected = np.repeat([[1.0001], [-12345678.9012], [np.nan]], 3, axis=1)
+    np.testing.assert_array_equal(read_xyz(open_map(path)), expected)
+    copy = rewrite(open_map(path), tmp_path / "copy.parquet", np.ones(3, bool), 2)
+    assert pq.read_table(copy).equals(pa.table(columns))
+
+
+@pytest.mark.parametrize("case", ["pq01_pdal_arrow.parquet", "pq04_decimal.parquet"])
+def test_cases_are_read(shared_data, read_xyz, case):
+    assert np.isfinite(read_xyz(open_map(shared_data / "cases" / case))).all()
 
 
 GOOD = table_of_all_kinds(40)

@@ -13,6 +13,7 @@ from tiling.formats.points import Field, MapDescription, PointBatch
 
 __all__ = [
     "MAP_SUFFIXES",
+    "OTHERS_TOO",
     "Field",
     "MapDescription",
     "MapReader",
@@ -30,10 +31,17 @@ _READERS = {
     ".parquet": ("tiling.formats.parquet", "ParquetReader"),
     ".npy": ("tiling.formats.numpy.npy", "NpyReader"),
     ".npz": ("tiling.formats.numpy.npz", "NpzReader"),
+    ".e57": ("tiling.formats.e57.reader", "E57Reader"),
+    **dict.fromkeys((".xyz", ".pts", ".asc"), ("tiling.formats.text", "TextReader")),
+    **dict.fromkeys((".txt", ".csv"), ("tiling.formats.text", "TextReader")),
+    ".bin": ("tiling.formats.numpy.raw", "RawReader"),
 }
 
 MAP_SUFFIXES = tuple(_READERS)
 """File name suffixes of the maps that can be read, in lower case."""
+
+OTHERS_TOO = (".txt", ".csv", ".bin")
+"""Those that files have which are no maps: beside maps with another they are not taken for any."""
 
 
 def open_map(path: Path, threads: int = 1) -> MapReader:

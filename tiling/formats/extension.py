@@ -52,7 +52,19 @@ class ExtendedRecords(ExtendedFormat):
 
 
 class ExtendedText(ExtendedFormat):
-    """Rows of text: the values follow on the line, in as many digits as tell them from others."""
+    """Rows of text: the values follow on the line, in as many digits as tell them from others.
+
+    Parameters
+    ----------
+    model, fields
+        As for `ExtendedFormat`.
+    separator : bytes
+        Between two values.
+    """
+
+    def __init__(self, model: MapReader, fields: Sequence[Field], separator: bytes = b" ") -> None:
+        super().__init__(model, fields)
+        self._separator = separator
 
     def extend(
         self,
@@ -66,8 +78,11 @@ class ExtendedText(ExtendedFormat):
             column.astype(field.dtype).tolist()
             for field, column in zip(self.fields, values, strict=True)
         ]
-        words = [" ".join(map(repr, row)).encode() for row in zip(*columns, strict=True)]
-        return batch.records.with_words(words)
+        words = [
+            self._separator.join(repr(value).encode() for value in row)
+            for row in zip(*columns, strict=True)
+        ]
+        return batch.records.with_words(words, self._separator)
 
 
 def packed(

@@ -1,6 +1,5 @@
-"""Parquet maps: columns x, y and z and whatever else, read and written through pyarrow."""
+"""Parquet maps: tables of points and whatever else, read and written through pyarrow."""
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
 from tiling.formats.parquet_file import open_parquet
-from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
+from tiling.formats.parquet_points import find_points, geometry_column
+from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
@@ -131,7 +131,7 @@ class ParquetReader(MapReader):
     Raises
     ------
     MapFormatError
-        When it is not a Parquet file, or has no columns x, y and z of numbers.
+        When it is not a Parquet file, or its points are not found, see `find_points`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -144,14 +144,12 @@ class ParquetReader(MapReader):
             self._texts = [each.name for each in self._schema if _is_text(each.type)]
             self._layout = _Layout.of(file, path)
             version, point_count = file.metadata.format_version, file.metadata.num_rows
-        names = coordinate_names(self._schema.names)
-        if names is None:
+        points = find_points(self._schema, stored.get(_GEO), path)
+        if points is None:
             found = ", ".join(self._schema.names[:12]) or "none"
             found = f"{point_count} rows of {len(self._schema)} columns: {found}"
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
-        self._names = names
-        for name in names:
-            self._check_column(name)
+        self._points = points
         codecs = sorted({codec.lower() for codec in self._layout.codecs.values()})
         self.description = MapDescription(
             path=path,
@@ -195,10 +193,7 @@ class ParquetReader(MapReader):
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
             for table in self._within_bytes(pa.Table.from_batches([batch])):
-                xyz = np.empty((table.num_rows, 3))
-                for column, name in enumerate(self._names):
-                    xyz[:, column] = _numbers(table.column(name))
-                yield TableBatch(row, xyz, table)
+                yield TableBatch(row, self._points.take(table), table)
                 row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"
@@ -238,15 +233,6 @@ class ParquetReader(MapReader):
         codecs = {**self._layout.codecs, **{field.name: codec for field in fields}}
         model._layout = replace(self._layout, codecs=codecs)
         return _ExtendedTable(model, fields)
-
-    def _check_column(self, name: str) -> None:
-        if self._schema.names.count(name) != 1:
-            raise MapFormatError(self._path, f"one column {name}", "several", at="the schema")
-        kind = self._schema.field(name).type
-        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-            raise MapFormatError(
-                self._path, f"numbers in column {name}", f"type {kind}", at="the schema"
-            )
 
 
 class _ExtendedTable(ExtendedFormat):
@@ -371,20 +357,15 @@ def _type_name(kind: pa.DataType) -> str:
     return " ".join(str(kind).split())
 
 
-def _numbers(column: pa.ChunkedArray) -> NDArray[np.float64]:
-    """Return a column as float64, null as NaN."""
-    values: NDArray[np.float64] = column.cast(pa.float64(), safe=False).to_numpy()
-    return values
-
-
 def _crs(geo: bytes | None) -> str | None:
     """Return the coordinate reference system of GeoParquet metadata in a short form."""
+    name, column = geometry_column(geo)
+    if name is None:
+        return None
     try:
-        described = json.loads(geo or b"{}")
-        column = described["columns"][described["primary_column"]]
         crs = column.get("crs", {"id": {"authority": "OGC", "code": "CRS84"}})
         if "id" in crs:
             return f"{crs['id']['authority']}:{crs['id']['code']}"
         return str(crs["name"])
-    except (ValueError, LookupError, TypeError, RecursionError):
+    except (LookupError, TypeError):
         return None

@@ -13,10 +13,13 @@ from tiling.formats.base import ExtendedFormat, MapReader
 from tiling.formats.extension import bytes_of, packed
 from tiling.formats.las.fields import RECORD_ID, USER_ID, extended_descriptors
 from tiling.formats.las.header import (
+    AT_HEADER_SIZE,
+    AT_MINOR_VERSION,
     AT_POINTS_OFFSET,
     AT_RECORD_LENGTH,
     AT_VLR_COUNT,
     RECORD_LENGTHS,
+    SMALLEST_HEADER,
     LasHeader,
     read_vlrs,
 )
@@ -67,7 +70,8 @@ class ExtendedLas(ExtendedFormat):
 def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
     """Return the header of points with further extra bytes, and the VLRs that these need.
 
-    The VLR of extra bytes gets a descriptor for each field, and one is made where there is none.
+    The VLR of extra bytes gets a descriptor for each field; one is made where there is none, and of
+    several.
     That of LASzip, which lists the bytes of a point, is written anew.
 
     Parameters
@@ -88,7 +92,7 @@ def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
         if size > _LARGEST:
             expected = f"{name} of at most {_LARGEST} bytes with the fields that are added"
             raise MapFormatError(header.path, expected, f"{size} bytes")
-    longer = _with_vlr(header, USER_ID, RECORD_ID, descriptors)
+    longer = _with_vlr(_with_whole_header(header), USER_ID, RECORD_ID, descriptors)
     if header.compressed:
         record = next(each for each in header.vlrs if is_laszip_record(each))
         extra = length - RECORD_LENGTHS[header.point_format]
@@ -100,17 +104,32 @@ def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
     return replace(longer, block=bytes(block), record_length=length)
 
 
+def _with_whole_header(header: LasHeader) -> LasHeader:
+    """Give a header that is too short for its version the size that this version demands.
+
+    Readers would take what is put behind it for the fields that are missing.
+    """
+    minor = header.block[AT_MINOR_VERSION]
+    size = max(header.public_size, SMALLEST_HEADER[minor])
+    block = bytearray(header.block)
+    block[header.public_size : header.public_size] = bytes(size - header.public_size)
+    struct.pack_into("<H", block, AT_HEADER_SIZE, size)
+    return replace(header, block=bytes(block), minor_version=minor, vlrs=read_vlrs(block))
+
+
 def _with_vlr(header: LasHeader, user_id: str, record_id: int, data: bytes) -> LasHeader:
-    """Give a VLR other data, or put a new one behind the others."""
-    block = header.block
-    record = next((each for each in header.vlrs if each.names(user_id, record_id)), None)
-    if record is not None:
-        start = record.end - len(record.data)
-        changed = bytearray(block[:start] + data + block[record.end :])
-        struct.pack_into("<H", changed, record.start + 20, len(data))
+    """Give a VLR other data, in place of all of its name, or put a new one behind the others."""
+    block = bytearray(header.block)
+    same = [record for record in header.vlrs if record.names(user_id, record_id)]
+    for record in reversed(same[1:]):
+        del block[record.start : record.end]
+    if same:
+        first = same[0]
+        block[first.end - len(first.data) : first.end] = data
+        struct.pack_into("<H", block, first.start + 20, len(data))
     else:
         end = header.vlrs[-1].end if header.vlrs else header.public_size
-        head = _VLR_HEADER.pack(user_id.encode(), record_id, len(data), b"")
-        changed = bytearray(block[:end] + head + data + block[end:])
-        struct.pack_into("<I", changed, AT_VLR_COUNT, len(header.vlrs) + 1)
-    return replace(header, block=bytes(changed), vlrs=read_vlrs(header.path, bytes(changed)))
+        block[end:end] = _VLR_HEADER.pack(user_id.encode(), record_id, len(data), b"") + data
+    count = len(header.vlrs) - len(same) + 1
+    struct.pack_into("<I", block, AT_VLR_COUNT, count)
+    return replace(header, block=bytes(block), vlrs=read_vlrs(block))

@@ -83,13 +83,16 @@ def extended_descriptors(header: LasHeader, fields: Sequence[Field]) -> bytes:
     """Return the data of a VLR that describes the extra bytes of a file, and further ones.
 
     What is described keeps its bytes; what nobody described is described as such, since further
-    fields could not be found behind it otherwise.
+    fields could not be found behind it otherwise, in pieces of sizes that laspy takes: it reads two
+    bits of a size, 8 and 16, as those of a scale and an offset.
     """
     described, left = _described(header)
     data = bytearray(_stored(header)[: len(described) * _DESCRIPTOR.size])
+    piece = 0
     while left:
-        size = min(left, 0xFF)
-        data += _DESCRIPTOR.pack(0, size, b"ExtraBytes")
+        size = next(each for each in range(min(left, 0xFF), 0, -1) if not each & 0b11000)
+        piece += 1
+        data += _DESCRIPTOR.pack(0, size, b"ExtraBytes" if piece == 1 else b"ExtraBytes %d" % piece)
         left -= size
     for field in fields:
         data += _DESCRIPTOR.pack(_TYPES.index(field.dtype) + 1, 0, field.name.encode())
@@ -109,7 +112,12 @@ def _described(header: LasHeader) -> tuple[tuple[Field, ...], int]:
 
 
 def _stored(header: LasHeader) -> bytes:
-    return next((each.data for each in header.vlrs if each.names(USER_ID, RECORD_ID)), b"")
+    """Return all descriptors; there are files that have several VLRs of them."""
+    return b"".join(
+        each.data[: len(each.data) // _DESCRIPTOR.size * _DESCRIPTOR.size]
+        for each in header.vlrs
+        if each.names(USER_ID, RECORD_ID)
+    )
 
 
 def _descriptors(data: bytes) -> Iterator[tuple[Field, int]]:

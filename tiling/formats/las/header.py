@@ -18,6 +18,7 @@ RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point by point format, without extra bytes."""
 
 AT_GLOBAL_ENCODING = 6
+AT_MINOR_VERSION = 25
 AT_HEADER_SIZE = 94
 AT_POINTS_OFFSET = 96
 AT_VLR_COUNT = 100
@@ -91,7 +92,7 @@ class LasHeader:
     block : bytes
         Everything before the points: header, VLRs, and whatever else is there.
     minor_version : int
-        x of LAS 1.x.
+        x of LAS 1.x, of the latest whose fields the header has room for.
     point_format : int
         0 to 10.
     compressed : bool
@@ -104,8 +105,12 @@ class LasHeader:
         Of x, y and z.
     vlrs, evlrs : tuple of VariableLengthRecord
         Before and after the points.
+    cut_off : int or None
+        Where an EVLR begins that the file ends in.
     waveforms : (int, int) or None
         First byte, and byte after the last, of the waveform packets inside the file.
+    notes : tuple of str
+        What the header says of itself that is not so, and does no harm.
     """
 
     path: Path
@@ -121,6 +126,8 @@ class LasHeader:
     vlrs: tuple[VariableLengthRecord, ...]
     evlrs: tuple[VariableLengthRecord, ...]
     waveforms: tuple[int, int] | None
+    cut_off: int | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def points_offset(self) -> int:
@@ -162,7 +169,7 @@ def read_header(path: Path) -> LasHeader:
     """
     file_size = path.stat().st_size
     with path.open("rb") as file:
-        minor, header = _read_public_header(path, file, file_size)
+        minor, header, notes = _read_public_header(path, file, file_size)
         point_format, compressed, record_length = _check_point_layout(path, header)
         point_count = _point_count(header, minor)
         points_offset = _check_points_offset(path, header, file_size)
@@ -170,14 +177,17 @@ def read_header(path: Path) -> LasHeader:
             _check_room(path, points_offset, file_size, point_count, record_length)
         scales, offsets = _check_grid(path, header)
         file.seek(0)
-        block = file.read(points_offset)
-        vlrs = read_vlrs(path, block)
-        evlrs = _read_evlrs(path, file, file_size, header, minor, points_offset)
+        block = bytearray(file.read(points_offset))
+        vlrs = read_vlrs(block)
+        notes += _note_missing("VLR", struct.unpack_from("<I", block, AT_VLR_COUNT)[0], len(vlrs))
+        struct.pack_into("<I", block, AT_VLR_COUNT, len(vlrs))
+        promised, evlrs, end = _read_evlrs(file, file_size, header, minor, points_offset)
+        notes += _note_missing("EVLR", promised, len(evlrs))
         waveforms = _find_waveforms(file, file_size, header, minor, points_offset)
     return LasHeader(
         path=path,
         file_size=file_size,
-        block=block,
+        block=bytes(block),
         minor_version=minor,
         point_format=point_format,
         compressed=compressed,
@@ -188,11 +198,24 @@ def read_header(path: Path) -> LasHeader:
         vlrs=vlrs,
         evlrs=evlrs,
         waveforms=waveforms,
+        cut_off=end if promised > len(evlrs) and points_offset <= end < file_size else None,
+        notes=notes,
     )
 
 
-def _read_public_header(path: Path, file: BinaryIO, file_size: int) -> tuple[int, bytes]:
-    """Return the minor version and the public header block, which is whole."""
+def _note_missing(kind: str, promised: int, found: int) -> tuple[str, ...]:
+    """Say where a header counts more records than there are; nobody can tell what they held."""
+    if promised == found:
+        return ()
+    return (
+        f"The header counts {promised} {kind}s, and {found} are there: the outputs have these.",
+    )
+
+
+def _read_public_header(
+    path: Path, file: BinaryIO, file_size: int
+) -> tuple[int, bytes, tuple[str, ...]]:
+    """Return the minor version whose fields are there, the public header block, and notes."""
     header = file.read(SMALLEST_HEADER[5])
     if not header:
         raise MapFormatError(path, 'the LAS signature "LASF"', "an empty file", "byte 0")
@@ -210,15 +233,21 @@ def _read_public_header(path: Path, file: BinaryIO, file_size: int) -> tuple[int
     if major != 1 or minor not in SMALLEST_HEADER:
         raise MapFormatError(path, "LAS version 1.0 to 1.5", f"{major}.{minor}", "byte 24")
     (header_size,) = struct.unpack_from("<H", header, AT_HEADER_SIZE)
-    smallest = SMALLEST_HEADER[minor]
-    if not smallest <= header_size <= file_size:
+    if not SMALLEST_HEADER[0] <= header_size <= file_size:
         raise MapFormatError(
             path,
-            f"a header of {smallest} bytes or more within the file's {file_size}",
+            f"a header of {SMALLEST_HEADER[minor]} bytes or more within the file's {file_size}",
             f"header size {header_size}",
             f"byte {AT_HEADER_SIZE}",
         )
-    return minor, header[:header_size]
+    if header_size >= SMALLEST_HEADER[minor]:
+        return minor, header[:header_size], ()
+    note = (
+        f"The header has {header_size} bytes, and that of LAS 1.{minor} has "
+        f"{SMALLEST_HEADER[minor]}: what should follow is taken as not there."
+    )
+    minor = max(each for each, size in SMALLEST_HEADER.items() if size <= header_size)
+    return minor, header[:header_size], (note,)
 
 
 def _check_point_layout(path: Path, header: bytes) -> tuple[int, bool, int]:
@@ -292,64 +321,45 @@ def _check_grid(
     return scales, offsets
 
 
-def read_vlrs(path: Path, block: bytes) -> tuple[VariableLengthRecord, ...]:
-    """Split what lies between the public header and the points into its records."""
+def read_vlrs(block: bytes | bytearray) -> tuple[VariableLengthRecord, ...]:
+    """Split what lies between the public header and the points into its records, the whole ones."""
     (start,) = struct.unpack_from("<H", block, AT_HEADER_SIZE)
     (count,) = struct.unpack_from("<I", block, AT_VLR_COUNT)
-    records = []
-    for number in range(1, count + 1):
-        size = _VLR_HEADER
-        if start + size <= len(block):
-            size += struct.unpack_from("<H", block, start + 20)[0]
+    records: list[VariableLengthRecord] = []
+    while len(records) < count and start + _VLR_HEADER <= len(block):
+        size = _VLR_HEADER + struct.unpack_from("<H", block, start + 20)[0]
         if start + size > len(block):
-            raise MapFormatError(
-                path,
-                f"{count} VLRs before the points at byte {len(block)}",
-                f"VLR {number} of {size} bytes",
-                f"byte {start}",
-            )
-        data = block[start + _VLR_HEADER : start + size]
+            break
+        data = bytes(block[start + _VLR_HEADER : start + size])
         records.append(_record(block[start : start + _VLR_HEADER], start, size, data))
         start += size
     return tuple(records)
 
 
 def _read_evlrs(
-    path: Path, file: BinaryIO, file_size: int, header: bytes, minor: int, points_offset: int
-) -> tuple[VariableLengthRecord, ...]:
-    """Read the extended records after the points."""
+    file: BinaryIO, file_size: int, header: bytes, minor: int, points_offset: int
+) -> tuple[int, tuple[VariableLengthRecord, ...], int]:
+    """Return how many extended records there should be, the whole ones, and where these end."""
     if minor < 4:
-        return ()
+        return 0, (), 0
     start, count = struct.unpack_from("<QI", header, AT_FIRST_EVLR)
-    if count and start < points_offset:
-        raise MapFormatError(
-            path, "EVLRs after the points", f"their offset {start}", f"byte {AT_FIRST_EVLR}"
-        )
-    records = []
-    for number in range(1, count + 1):
-        size = _EVLR_HEADER
-        head = b""
-        if start + size <= file_size:
-            file.seek(start)
-            head = file.read(_EVLR_HEADER)
-            size += struct.unpack_from("<Q", head, 20)[0]
+    records: list[VariableLengthRecord] = []
+    while len(records) < count and points_offset <= start <= file_size - _EVLR_HEADER:
+        file.seek(start)
+        head = file.read(_EVLR_HEADER)
+        size = _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
         if start + size > file_size:
-            raise MapFormatError(
-                path,
-                f"{count} EVLRs within the file's {file_size} bytes",
-                f"EVLR {number} of {size} bytes",
-                f"byte {start}",
-            )
+            break
         record = _record(head, start, size, b"")
         if record.user_id == CRS_USER_ID and size <= _LARGEST_CRS:
             record = replace(record, data=file.read(size - _EVLR_HEADER))
         records.append(record)
         start += size
-    return tuple(records)
+    return count, tuple(records), start
 
 
-def _record(head: bytes, start: int, size: int, data: bytes) -> VariableLengthRecord:
-    user_id = head[2:18].split(b"\0")[0].decode("latin-1")
+def _record(head: bytes | bytearray, start: int, size: int, data: bytes) -> VariableLengthRecord:
+    user_id = bytes(head[2:18]).split(b"\0")[0].decode("latin-1")
     return VariableLengthRecord(user_id, struct.unpack_from("<H", head, 18)[0], start, size, data)
 
 

@@ -22,6 +22,7 @@ from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
 from tiling.formats.las.fields import extra_fields, standard_fields
 from tiling.formats.las.header import (
+    AT_MINOR_VERSION,
     AT_WAVEFORMS,
     WAVEFORMS_EXTERNAL,
     LasHeader,
@@ -172,7 +173,7 @@ def _withheld(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.bool_
 
 
 def _describe(header: LasHeader, notes: tuple[str, ...]) -> MapDescription:
-    kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.minor_version}"
+    kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.block[AT_MINOR_VERSION]}"
     kind = f"{kind}, point format {header.point_format}"
     if header.compressed and _has_copc_index(header):
         kind = f"COPC ({kind})"
@@ -196,6 +197,7 @@ def _has_copc_index(header: LasHeader) -> bool:
 
 
 def _notes(header: LasHeader) -> Iterator[str]:
+    yield from header.notes
     if _has_copc_index(header):
         yield (
             f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info "
@@ -251,6 +253,8 @@ def _known(header: LasHeader) -> list[tuple[int, int]]:
     spans = [(record.start, record.end) for record in header.evlrs]
     if header.waveforms is not None:
         spans.append(header.waveforms)
+    if header.cut_off is not None:
+        spans.append((header.cut_off, header.file_size))
     return sorted(spans)
 
 

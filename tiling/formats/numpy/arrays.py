@@ -80,6 +80,19 @@ class ArrayHeader:
         return self.row_elements if self.fortran_order and len(self.shape) > 1 else 1
 
     @property
+    def unorganised(self) -> "ArrayHeader":
+        """The same values as one row after the other, of an array of rows and columns of points.
+
+        That is one of shape (H, W, 3 or more), or (H, W) with named fields, in C order.
+        """
+        points = 2 if self.dtype.names else 3
+        if len(self.shape) != points or self.fortran_order:
+            return self
+        if points == 3 and not 3 <= self.shape[2] <= _MOST_DOUBTLESS_COLUMNS:
+            return self
+        return replace(self, shape=(self.shape[0] * self.shape[1], *self.shape[2:]))
+
+    @property
     def is_coordinates(self) -> bool:
         """Whether it is an (N, 3 or more) array of numbers, or has fields x, y and z."""
         if self.dtype.names:
@@ -162,6 +175,12 @@ class ArrayHeader:
         return xyz
 
 
+def organised_note(header: ArrayHeader) -> str:
+    """Say that an organised array becomes an unorganised one."""
+    shape = " x ".join(map(str, header.shape[:2]))
+    return f"The organised cloud ({shape}) becomes an unorganised one, a point a row."
+
+
 def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> ArrayHeader:
     """Read the header that `stream` begins with, and leave it before the values.
 
@@ -177,7 +196,7 @@ def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> Arra
     Raises
     ------
     MapFormatError
-        When it is not the header of an array, or the array holds Python objects.
+        When it is not the header of an array.
     """
     magic = npy.magic(1, 0)[:-2]
     start = stream.read(len(magic) + 2)
@@ -205,9 +224,6 @@ def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> Arra
         raise MapFormatError(path, expected, found, at=place) from None
     size = len(start) + length_size + length
     header = ArrayHeader(dtype, fortran_order, shape, version[0], size)
-    if dtype.hasobject:
-        found = "Python objects, which only unpickling could read"
-        raise MapFormatError(path, f"{name} of plain values", found, at=place)
     if header.row_bytes > _LONGEST_ROW:
         expected = f"{name} with at most {_LONGEST_ROW} bytes a row"
         raise MapFormatError(path, expected, f"{header.row_bytes}", at=place)

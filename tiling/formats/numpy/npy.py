@@ -1,4 +1,7 @@
-"""NumPy maps in one .npy file: an (N, 3 or more) array, or one with fields x, y and z."""
+"""NumPy maps in one .npy file: an (N, 3 or more) array, or one with fields x, y and z.
+
+Organised ones, (H, W, 3 or more) or (H, W), are read row by row.
+"""
 
 from collections.abc import Iterator, Sequence
 from copy import copy
@@ -13,7 +16,13 @@ from tiling.errors import MapFormatError
 from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
 from tiling.formats.extension import ExtendedRecords
 from tiling.formats.leftover import check_leftover
-from tiling.formats.numpy.arrays import ArrayHeader, RowReader, put_rows, read_array_header
+from tiling.formats.numpy.arrays import (
+    ArrayHeader,
+    RowReader,
+    organised_note,
+    put_rows,
+    read_array_header,
+)
 from tiling.formats.parts import PartWriter
 from tiling.formats.points import Field, MapDescription, PointBatch
 
@@ -40,7 +49,11 @@ class NpyReader(MapReader):
     def __init__(self, path: Path) -> None:
         self._path = path
         with path.open("rb") as file:
-            header = read_array_header(file, path)
+            stored = read_array_header(file, path)
+        if stored.dtype.hasobject:
+            found = "Python objects, which only unpickling could read"
+            raise MapFormatError(path, "an array of plain values", found, at="the header")
+        header = stored.unorganised
         if not header.is_coordinates:
             expected = (
                 "an (N, 3 or more) array of real numbers, a point a row, or one with fields "
@@ -56,6 +69,8 @@ class NpyReader(MapReader):
         with path.open("rb") as file:
             counted = f"{header.row_count} points"
             notes = check_leftover(file, end, size, header.row_bytes, path, counted)
+        if header is not stored:
+            notes = (organised_note(stored), *notes)
         self._header = header
         order = "Fortran order" if header.column_count > 1 else "C order"
         self.description = MapDescription(

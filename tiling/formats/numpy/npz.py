@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, BinaryIO, cast
@@ -18,7 +18,13 @@ from tiling.errors import MapFormatError
 from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
 from tiling.formats.extension import joined, packed
 from tiling.formats.leftover import check_leftover
-from tiling.formats.numpy.arrays import ArrayHeader, RowReader, put_rows, read_array_header
+from tiling.formats.numpy.arrays import (
+    ArrayHeader,
+    RowReader,
+    organised_note,
+    put_rows,
+    read_array_header,
+)
 from tiling.formats.numpy.npy import array_fields
 from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
@@ -45,8 +51,9 @@ class NpzReader(MapReader):
     """Reads the arrays of an archive as points, all of them in step.
 
     The coordinates are an array `points`, `xyz` or `arr_0` of shape (N, 3 or more) or with fields
-    x, y and z, or else three arrays x, y and z. Every other array of N rows belongs to the
-    points and is filtered along; any other entry is copied as it is.
+    x, y and z, or else three arrays x, y and z, or else the only array that can be meant. Every
+    other array of N rows belongs to the points and is filtered along; any other entry, and whatever
+    holds Python objects, is copied as it is.
 
     Parameters
     ----------
@@ -64,8 +71,14 @@ class NpzReader(MapReader):
         with _archive(path) as archive:
             entries = _entries(archive, path)
         by_name = {entry.name: entry.header for entry in entries if entry.header}
-        self._coordinates = _coordinate_arrays(by_name, path)
-        count = by_name[self._coordinates[0]].row_count
+        plain = {name: each for name, each in by_name.items() if not each.dtype.hasobject}
+        self._coordinates = _coordinate_arrays(plain, path)
+        points = by_name[self._coordinates[0]]
+        count = points.unorganised.row_count
+        notes = list(_notes(entries, self._coordinates, path, count))
+        if points.unorganised is not points:
+            notes.append(organised_note(points))
+            entries = [replace(e, header=_unorganised(e.header, points)) for e in entries]
         self._members = tuple(
             _Member(e.info, e.name, e.header, _is_per_point(e.header, count)) for e in entries
         )
@@ -89,6 +102,7 @@ class NpzReader(MapReader):
                     array_fields(header) if [name] == self._coordinates else header.fields(name)
                 )
             ),
+            notes=tuple(notes),
         )
 
     @property
@@ -282,6 +296,7 @@ def _entries(archive: zipfile.ZipFile, path: Path) -> list[_Member]:
         if info.filename.endswith(".npy"):
             with archive.open(info) as stream:
                 header = read_array_header(cast(BinaryIO, stream), path, f"array {name!r}")
+        if header is not None and not header.dtype.hasobject:
             if header.size + header.data_bytes > info.file_size:
                 expected = f"{header.data_bytes} bytes of array {name!r} ({header})"
                 found = f"{info.file_size - header.size} bytes"
@@ -298,8 +313,9 @@ def _entries(archive: zipfile.ZipFile, path: Path) -> list[_Member]:
 
 def _coordinate_arrays(arrays: dict[str, ArrayHeader], path: Path) -> list[str]:
     """Return the name of the array of points, or of the three arrays of coordinates."""
+    points = {name: each for name, each in arrays.items() if each.unorganised.is_coordinates}
     for name in _POINT_ARRAYS:
-        if name in arrays and arrays[name].is_coordinates:
+        if name in points:
             return [name]
     columns = [arrays[name] for name in COORDINATES if name in arrays]
     if (
@@ -308,9 +324,47 @@ def _coordinate_arrays(arrays: dict[str, ArrayHeader], path: Path) -> list[str]:
         and len({column.row_count for column in columns}) == 1
     ):
         return list(COORDINATES)
-    expected = f"an (N, 3 or more) array {', '.join(_POINT_ARRAYS)}, or (N,) arrays x, y and z"
+    # Poses have four columns, colours and faces are whole numbers.
+    of_three = [name for name, each in points.items() if each.unorganised.row_elements in (1, 3)]
+    floating = [name for name in of_three if points[name].dtype.kind not in "iu"]
+    for candidates in (list(points), of_three, floating):
+        if len(candidates) == 1:
+            return candidates
+    expected = (
+        f"an (N, 3 or more) array {', '.join(_POINT_ARRAYS)}, or (N,) arrays x, y and z, or only "
+        "one that can hold points"
+    )
     found = ", ".join(f"{name!r} ({header})" for name, header in list(arrays.items())[:6])
     raise MapFormatError(path, expected, found or "no arrays")
+
+
+def _notes(
+    entries: Sequence[_Member], coordinates: Sequence[str], path: Path, count: int
+) -> Iterator[str]:
+    """Say what is not a matter of course; refuse Python objects that belong to the points."""
+    name = coordinates[0]
+    if len(coordinates) == 1 and name not in _POINT_ARRAYS:
+        yield f"The points are taken from array {name!r}."
+    for entry in entries:
+        if entry.header is None or not entry.header.dtype.hasobject:
+            continue
+        if entry.header.shape and entry.header.row_count == count:
+            found = f"{count} Python objects, one a point, which only unpickling could read"
+            raise MapFormatError(path, f"array {entry.name!r} of plain values", found)
+        yield (
+            f"Array {entry.name!r} holds Python objects, which are never unpickled: each output "
+            "has all of it, byte for byte."
+        )
+
+
+def _unorganised(header: ArrayHeader | None, points: ArrayHeader) -> ArrayHeader | None:
+    """Return the header of an array with an entry for each of some organised points, a point a row.
+
+    Others stay as they are.
+    """
+    if header is None or header.fortran_order or header.shape[:2] != points.shape[:2]:
+        return header
+    return replace(header, shape=(points.unorganised.row_count, *header.shape[2:]))
 
 
 def _is_per_point(header: ArrayHeader | None, count: int) -> bool:

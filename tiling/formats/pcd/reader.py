@@ -31,7 +31,7 @@ from tiling.formats.pcd import lzf
 from tiling.formats.pcd.column_spool import ColumnSpool
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.text_rows import RowLayout, read_rows
+from tiling.formats.text_rows import RowLayout, TextWriter, read_rows
 from tiling.output_file import create_file
 
 _SIZES = struct.Struct("<II")
@@ -97,7 +97,7 @@ class PcdReader(MapReader):
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
         if self._header.encoding == "ascii":
-            return PcdAsciiWriter(path, point_count, self._header)
+            return TextWriter(path, point_count, self._header.for_points(point_count))
         if self._header.encoding == "binary":
             return SinglePartWriter(self.part_writer(path, point_count))
         widths = tuple(field.width for field in self._stored)
@@ -262,51 +262,13 @@ class PcdReader(MapReader):
         return PointBatch(first_row, xyz, records)
 
 
-class PcdWriter(MapWriter):
-    """Writes a PCD file after the model of another.
-
-    Parameters
-    ----------
-    path : Path
-    point_count : int
-        Points that it will hold.
-    header : PcdHeader
-        Of the file that serves as the model.
-    """
-
-    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
-        super().__init__(path, point_count)
-        self._stream = create_file(path)  # closed by `_finish` and `_abandon`
-        self._stream.write(header.for_points(point_count))
-
-    def _finish(self) -> None:
-        self._stream.close()
-
-    def _abandon(self) -> None:
-        self._stream.close()
-
-
-class PcdAsciiWriter(PcdWriter):
-    """Writes rows as they stood in the file they come from."""
-
-    _ended = True
-
-    def _append(self, records: Any) -> None:
-        text = records.tobytes()
-        if not self._ended:
-            self._stream.write(b"\n")
-        self._stream.write(text)
-        # The last row of a file may have no line ending.
-        self._ended = text.endswith(b"\n")
-
-
 class PcdBinaryParts(PartWriter):
     """Writes records of one size, each to its place.
 
     Parameters
     ----------
     path, point_count, header
-        As for `PcdWriter`.
+        As for `PcdCompressedWriter`.
     """
 
     def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
@@ -323,13 +285,16 @@ class PcdBinaryParts(PartWriter):
         file.truncate(len(self._start) + self.point_count * self._record_size)
 
 
-class PcdCompressedWriter(PcdWriter):
+class PcdCompressedWriter(MapWriter):
     """Collects columns in a temporary file, and compresses them in the end.
 
     Parameters
     ----------
-    path, point_count, header
-        As for `PcdWriter`.
+    path : Path
+    point_count : int
+        Points that it will hold.
+    header : PcdHeader
+        Of the file that serves as the model.
     widths : tuple of int
         Bytes that each column takes in a record.
     """
@@ -337,7 +302,9 @@ class PcdCompressedWriter(PcdWriter):
     def __init__(
         self, path: Path, point_count: int, header: PcdHeader, widths: tuple[int, ...]
     ) -> None:
-        super().__init__(path, point_count, header)
+        super().__init__(path, point_count)
+        self._stream = create_file(path)  # closed by `_finish` and `_abandon`
+        self._stream.write(header.for_points(point_count))
         self._column_size = point_count * sum(widths)
         self._spool = ColumnSpool(widths, point_count)
         self._stored = 0
@@ -361,4 +328,4 @@ class PcdCompressedWriter(PcdWriter):
 
     def _abandon(self) -> None:
         self._spool.close()
-        super()._abandon()
+        self._stream.close()

@@ -1,0 +1,157 @@
+"""Where the coordinates are in a table: in columns x, y and z, or in one column of points.
+
+Such a column is a list of three numbers or more, as PDAL writes it (`xyz`); or the geometry of
+GeoParquet: a structure with x, y and z, or points in the form of well-known binary (WKB, ISO or
+with PostGIS's flag).
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats.points import COORDINATES, coordinate_names
+
+_POINTS = "xyz"
+_WKB_POINT = np.dtype([("order", "u1"), ("kind", "<u4"), ("xyz", "<f8", 3)])
+_LITTLE_ENDIAN = 1
+_POINT_Z = (1001, 0x80000001)
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PointColumns:
+    """The columns of the coordinates, and how they are taken out of a table.
+
+    Attributes
+    ----------
+    names : tuple of str
+    take : callable
+        Returns the (n, 3) float64 coordinates of a table; what is null is NaN.
+    """
+
+    names: tuple[str, ...]
+    take: Callable[[pa.Table], Points]
+
+
+def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumns | None:
+    """Find the coordinates in a table.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+    geo : bytes or None
+        GeoParquet's description of the table, if there is one.
+    path : Path
+        The file, for messages.
+
+    Returns
+    -------
+    PointColumns or None
+        None where there are no columns that could hold them.
+
+    Raises
+    ------
+    MapFormatError
+        When the columns hold anything else.
+    """
+    names = coordinate_names(schema.names)
+    if names is not None:
+        for name in names:
+            kind = _only_column(schema, name, path).type
+            if not _is_number(kind):
+                expected = f"numbers in column {name}"
+                raise MapFormatError(path, expected, f"type {kind}", at="the schema")
+        return PointColumns(names, partial(_of_parts, keys=[(name, None) for name in names]))
+    geometry = str(geometry_column(geo)[0])
+    for name in (_POINTS, geometry):
+        if name not in schema.names:
+            continue
+        kind = _only_column(schema, name, path).type
+        if _is_list(kind) and _is_number(kind.value_type):
+            return PointColumns((name,), partial(_of_parts, keys=[(name, n) for n in range(3)]))
+        if pa.types.is_struct(kind):
+            parts = {field.name: field.type for field in kind}
+            if all(part in parts and _is_number(parts[part]) for part in COORDINATES):
+                keys = [(name, part) for part in COORDINATES]
+                return PointColumns((name,), partial(_of_parts, keys=keys))
+        if name == geometry and (pa.types.is_binary(kind) or pa.types.is_large_binary(kind)):
+            return PointColumns((name,), partial(_of_wkb, name=name, path=path))
+    return None
+
+
+def geometry_column(geo: bytes | None) -> tuple[str | None, dict[str, Any]]:
+    """Return name and description of GeoParquet's first column; None where there is none."""
+    try:
+        described = json.loads(geo or b"{}")
+        name = described["primary_column"]
+        return str(name), dict(described["columns"][name])
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return None, {}
+
+
+def _only_column(schema: pa.Schema, name: str, path: Path) -> pa.Field:
+    if schema.names.count(name) != 1:
+        raise MapFormatError(path, f"one column {name}", "several", at="the schema")
+    return schema.field(name)
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    types = pa.types
+    return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind))
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    types = pa.types
+    return bool(
+        types.is_list(kind)
+        or types.is_large_list(kind)
+        or (types.is_fixed_size_list(kind) and kind.list_size >= 3)
+    )
+
+
+def _of_parts(table: pa.Table, keys: list[tuple[str, int | str | None]]) -> Points:
+    """Take each coordinate from a column, or from an item or a member of its values."""
+    xyz = np.empty((table.num_rows, 3))
+    for axis, (name, key) in enumerate(keys):
+        column = table.column(name)
+        if isinstance(key, int):
+            column = pc.list_element(column, key)
+        elif isinstance(key, str):
+            column = pc.struct_field(column, key)
+        xyz[:, axis] = column.cast(pa.float64(), safe=False).to_numpy()
+    return xyz
+
+
+def _of_wkb(table: pa.Table, name: str, path: Path) -> Points:
+    """Take the coordinates from points in well-known binary."""
+    column = table.column(name)
+    present = np.asarray(pc.is_valid(column).to_numpy())
+    xyz = np.full((table.num_rows, 3), np.nan)
+    values = column.drop_null().to_pylist()
+    size = next((len(each) for each in values if len(each) != _WKB_POINT.itemsize), None)
+    if size is not None:
+        expected = f"points of {_WKB_POINT.itemsize} bytes (WKB, Point Z) in column {name}"
+        raise MapFormatError(path, expected, f"one of {size} bytes")
+    points = np.frombuffer(b"".join(values), _WKB_POINT)
+    for order, dtype in ((_LITTLE_ENDIAN, _WKB_POINT), (0, _WKB_POINT.newbyteorder(">"))):
+        own = points["order"] == order
+        swapped = points.view(dtype)[own]
+        kinds = swapped["kind"][~np.isin(swapped["kind"], _POINT_Z)]
+        if len(kinds):
+            expected = f"points with x, y and z (WKB type 1001) in column {name}"
+            raise MapFormatError(path, expected, f"one of type {kinds[0]}")
+        xyz[np.flatnonzero(present)[own]] = swapped["xyz"]
+    if (points["order"] > _LITTLE_ENDIAN).any():
+        found = f"{points['order'].max()}"
+        raise MapFormatError(path, f"a byte order of 0 or 1 in column {name}", found)
+    return xyz
