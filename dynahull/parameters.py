@@ -124,7 +124,9 @@ class RemovalParameters(_Section):
     def _ordered(self) -> Self:
         if self.min_percent > self.max_percent:
             raise ValueError(
-                f"min_percent ({self.min_percent:g}) is above max_percent ({self.max_percent:g})"
+                f"min_percent ({self.min_percent:g}) is above max_percent "
+                f"({self.max_percent:g}): set removal.min_percent as well, to no more than "
+                f"{self.max_percent:g}"
             )
         return self
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dynahull.errors import MissingClassificationError
+from dynahull.ground.cloth import cloth_library
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.in_memory import clean_in_memory
@@ -74,6 +75,8 @@ def run(
         raise MissingClassificationError(
             f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
         )
+    if configuration.ground.method == "csf":
+        cloth_library()  # before the work, not after it
     begun = (folder / WORK_FOLDER).exists() and not fresh
     one_tile = is_one_tile(collection, configuration, begun=begun)
     if one_tile:

@@ -1,5 +1,9 @@
 """Arguments and options that several commands share."""
 
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -49,6 +53,17 @@ TLS = Annotated[
     bool,
     typer.Option("--tls", help="Encrypt between scheduler, workers and run (cluster.tls)."),
 ]
+
+
+@contextmanager
+def telling_how_to_go_on() -> Iterator[None]:
+    """Say, where Ctrl-C or a signal ends the block, by which command it goes on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        words = [word for word in sys.argv[1:] if word != "--fresh"]
+        typer.echo(f"to go on: {shlex.join(['dynahull-pipeline', *words])}", err=True)
+        raise
 
 
 def worker_settings(scheduler: str | None, cluster: str | None, tls: bool) -> list[str]:

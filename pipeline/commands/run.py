@@ -14,6 +14,7 @@ from pipeline.commands.options import (
     Scheduler,
     Settings,
     check_encryption,
+    telling_how_to_go_on,
     worker_settings,
 )
 
@@ -55,7 +56,7 @@ def run_command(
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
     check_encryption(configuration, tls)
-    with watching() as observer:
+    with telling_how_to_go_on(), watching() as observer:
         report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
 

@@ -114,7 +114,8 @@ def write_maps(
     first_rows = [*collection.first_rows, collection.point_count]
     rows = [slice(*bounds) for bounds in pairwise(first_rows)]
     streams = [index for index in range(len(outputs)) if index not in written]
-    observer.stage("write", sum(rows[index].stop - rows[index].start for index in streams))
+    if streams:
+        observer.stage("write", sum(rows[index].stop - rows[index].start for index in streams))
     for index in streams:
         reader = collection.readers[index]
         own = None if scores is None else scores.of(rows[index])
