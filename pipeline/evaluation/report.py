@@ -227,9 +227,8 @@ def evaluate_files(
         if path is not None:
             check_named_file(path, kind, named)
     inputs = find_inputs(cleaned, truth, original, options)
-    if picture is not None:
-        if inputs.original is None:
-            raise ConfigurationError("--picture: expected --original, found none")
+    if picture is not None and inputs.original is None:
+        raise ConfigurationError("--picture: expected --original, found none")
     with watching() as observer:
         picture = drawable(picture, observer.warn)
         if inputs.original is None and (Path(cleaned) / RUN_FILE).is_file():
