@@ -53,6 +53,7 @@ def plan_map(
         check_named_file(picture, ".png", paths)
         picture = drawable(picture, observer.warn)
     collection = open_collection(paths, configuration.input, workers)
+    configuration = configuration.of_size(collection.point_count)
     observer.stage("survey", collection.point_count)
     surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
     observer.finish()

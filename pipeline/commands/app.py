@@ -15,7 +15,13 @@ import typer
 
 from pipeline.commands.evaluate import evaluate_command
 from pipeline.commands.nightly import nightly_command
-from pipeline.commands.run import cancel_command, preview_command, run_command, submit_command
+from pipeline.commands.run import (
+    apply_command,
+    cancel_command,
+    preview_command,
+    run_command,
+    submit_command,
+)
 from pipeline.commands.tiles import (
     clean_command,
     discard_command,
@@ -121,6 +127,7 @@ for name, command in (  # in the order of a first day
     ("run", run_command),
     ("view", view_command),
     ("evaluate", evaluate_command),
+    ("apply", apply_command),
     ("plan", plan_command),
     ("status", status_command),
     ("discard", discard_command),
