@@ -23,6 +23,7 @@ from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
+from dynahull.protection import protected_points
 from dynahull.removal import Removal, remove_least_dense, remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
@@ -60,6 +61,7 @@ def clean(
     *,
     classification: ArrayLike | None = None,
     left_out: ArrayLike | None = None,
+    protected: ArrayLike | None = None,
     threads: int = 1,
     observer: Observer | None = None,
     **sections: Any,
@@ -79,6 +81,8 @@ def clean(
         ASPRS classes, for `ground.method: las_class`.
     left_out : (N,) array_like of bool, optional
         Points that are known to be noise: they decide nothing, and are labelled unscored.
+    protected : (N,) array_like of bool, optional
+        Points that are never removed, beside those of `removal.protect`.
     threads : int
         Threads of ground, clustering and density. The result does not depend on it.
     observer : Observer, optional
@@ -109,6 +113,10 @@ def clean(
     classes = None if classification is None else checked_classes(classification, len(coordinates))
     noise = None if left_out is None else checked_mask(left_out, len(coordinates))
     parameters = MethodParameters.chosen(parameters, sections)
+    chosen = parameters.removal
+    safe = protected_points(coordinates, classes, chosen.protect_classes, chosen.protect)
+    if protected is not None:
+        safe |= checked_mask(protected, len(coordinates), "protected")
     threads = checked_threads(threads)
     observer = SilentObserver() if observer is None else checked_observer(observer)
 
@@ -143,11 +151,16 @@ def clean(
             remove_least_dense(density[members], members, percentage, parameters.removal.threshold)
             for members, percentage in zip(membership, percentages, strict=True)
         ]
+    removals = [
+        Removal(removal.dynamic & ~safe[members], removal.threshold)
+        for members, removal in zip(membership, removals, strict=True)
+    ]
     summaries = _summaries(clusters, membership, percentages, removals)
     if parameters.removal.weighs_evidence:
         warn_of_much_removed(summaries, observer)
     return CleaningResult(
         labels=_merged_labels(labels, aside, membership, removals),
+        protected=safe,
         density=density,
         score=judged.score,
         reason=judged.reason,

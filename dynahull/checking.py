@@ -97,18 +97,18 @@ def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:
     return classes.astype(np.uint8)
 
 
-def checked_mask(left_out: ArrayLike, count: int) -> NDArray[np.bool_]:
-    """Return which points are left out as an (N,) bool array.
+def checked_mask(given: ArrayLike, count: int, name: str = "left_out") -> NDArray[np.bool_]:
+    """Return true or false for each point as an (N,) bool array.
 
     Raises
     ------
     InvalidPointsError
         When it is anything else.
     """
-    mask = np.asarray(as_array(left_out, "left_out", "true or false for each point"))
+    mask = np.asarray(as_array(given, name, "true or false for each point"))
     if mask.shape != (count,) or (count and mask.dtype != np.bool_):
         raise InvalidPointsError(
-            f"left_out: expected true or false for each of {count} points, found shape "
+            f"{name}: expected true or false for each of {count} points, found shape "
             f"{mask.shape} and dtype {mask.dtype}"
         )
     return mask.astype(np.bool_)

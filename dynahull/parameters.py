@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from types import MappingProxyType
-from typing import Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from dynahull.errors import InvalidParametersError
 from dynahull.ground.parameters import GroundParameters
+from dynahull.protection import Area
 
 __all__ = [
     "READY",
@@ -120,11 +121,22 @@ class RemovalParameters(_Section):
         "rises from zero in equal steps until R_i is reached, as the paper words it.",
     )
 
+    protect_classes: tuple[Annotated[int, Field(ge=0, le=255, strict=True)], ...] = Field(
+        (), description="ASPRS classes of points that are never removed. Maps in LAS or LAZ."
+    )
+    protect: tuple[Area, ...] = Field(
+        (),
+        description="Areas in which nothing is removed: polygons seen from above, `rings` of "
+        "corners, between the heights `low` and `high`. `--protect FILE` reads them.",
+    )
+
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.min_percent > self.max_percent:
             raise ValueError(
-                f"min_percent ({self.min_percent:g}) is above max_percent ({self.max_percent:g})"
+                f"min_percent ({self.min_percent:g}) is above max_percent "
+                f"({self.max_percent:g}): set removal.min_percent as well, to no more than "
+                f"{self.max_percent:g}"
             )
         return self
 

@@ -55,6 +55,8 @@ class CleaningResult:
         Probability of having moved, by the evidence; NaN where not scored, or not weighed.
     reason : (N,) uint8 array
         Which of `dynahull.evidence.reasons.REASONS` speaks most for a ghost; 255 where none does.
+    protected : (N,) bool array
+        Which points were not to be removed.
     clusters : tuple of ClusterSummary
         One for each cluster, in the order of their indices.
     """
@@ -64,6 +66,7 @@ class CleaningResult:
     cluster: NDArray[np.int32]
     score: NDArray[np.float32]
     reason: NDArray[np.uint8]
+    protected: NDArray[np.bool_]
     clusters: tuple[ClusterSummary, ...]
 
     @property

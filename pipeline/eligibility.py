@@ -13,22 +13,50 @@ from numpy.typing import NDArray
 
 from dynahull.checking import valid_points
 from dynahull.progress import Observer
+from dynahull.protection import protected_points
 from dynahull.strays import Outskirts, Strays, is_at_origin
 from pipeline.configuration.run import Configuration, InputParameters
 from tiling.collection import MapCollection
 from tiling.formats.points import PointBatch
 from tiling.survey import Survey, merge, survey_batches
 
+LEFT_OUT, PROTECTED = np.uint8(1), np.uint8(2)
+"""Marks of points that take no part, and of those that do and are never removed."""
+
+RIM = 10.0
+"""Metres around a window whose points take part: more than any evidence looks at."""
+
 Mask = NDArray[np.bool_]
 
 
-def may_leave_out(collection: MapCollection, parameters: InputParameters) -> bool:
-    """Tell whether a map can have points that are left out."""
-    asked_for = bool(parameters.leave_out) or parameters.leave_out_withheld
-    return asked_for and any(reader.description.has_classification for reader in collection.readers)
+def may_mark(collection: MapCollection, configuration: Configuration) -> bool:
+    """Tell whether a map can have points that are left out or protected."""
+    parameters, removal = configuration.input, configuration.removal
+    by_class = bool(parameters.leave_out or removal.protect_classes)
+    asked_for = by_class or parameters.leave_out_withheld
+    classified = any(reader.description.has_classification for reader in collection.readers)
+    return bool(parameters.has_window or removal.protect) or (asked_for and classified)
 
 
-def left_out(batch: PointBatch, parameters: InputParameters) -> Mask:
+def marks(batch: PointBatch, configuration: Configuration) -> NDArray[np.uint8]:
+    """Return a mark for each point: 0, `LEFT_OUT`, or `PROTECTED`.
+
+    Around a window, points within `RIM` take part, so that the window's own see what is there;
+    they are not removed. All others are left out.
+    """
+    parameters, removal = configuration.input, configuration.removal
+    safe = protected_points(
+        batch.xyz, batch.classification, removal.protect_classes, removal.protect
+    )
+    found = np.where(safe, PROTECTED, np.uint8(0))
+    if parameters.has_window:
+        found[~parameters.in_window(batch.xyz)] = PROTECTED
+        found[~parameters.in_window(batch.xyz, RIM)] = LEFT_OUT
+    found[_left_out(batch, parameters)] = LEFT_OUT
+    return found
+
+
+def _left_out(batch: PointBatch, parameters: InputParameters) -> Mask:
     """Tell which points are marked as noise or as deleted."""
     out = np.zeros(len(batch.xyz), np.bool_)
     if batch.classification is not None and parameters.leave_out:
@@ -46,6 +74,7 @@ def warn_of_left_out(count: int, parameters: InputParameters, observer: Observer
         classes = ", ".join(map(str, parameters.leave_out))
         marks = [f"of class {classes}"] if classes else []
         marks += ["withheld"] if parameters.leave_out_withheld else []
+        marks += ["outside the window"] if parameters.has_window else []
         points = "1 point is" if count == 1 else f"{count:,} points are"
         observer.warn(
             f"{points} {' or '.join(marks)}: left out of the decision, labelled unscored, kept in "
@@ -71,7 +100,7 @@ class Watcher:
     ----------
     configuration : Configuration
     note : callable, optional
-        Given the first row of a batch, and which of its points are left out, if any are.
+        Given the first row of a batch, and the marks of its points, if any are marked.
 
     Attributes
     ----------
@@ -81,23 +110,27 @@ class Watcher:
     """
 
     def __init__(
-        self, configuration: Configuration, note: Callable[[int, Mask], None] | None = None
+        self,
+        configuration: Configuration,
+        note: Callable[[int, NDArray[np.uint8]], None] | None = None,
     ) -> None:
         self.outskirts = Outskirts(configuration.neighbours.k)
         self.left_out = 0
-        self._parameters = configuration.input
+        self._configuration = configuration
         self._note = note
 
     def watch(self, batches: Iterable[PointBatch]) -> Iterator[PointBatch]:
         """Yield points as they pass."""
         for batch in batches:
             seen = valid_points(batch.xyz)
-            out = left_out(batch, self._parameters) & seen
-            if out.any():
+            found = marks(batch, self._configuration)
+            found[~seen] = 0
+            if found.any():
+                out = found == LEFT_OUT
                 self.left_out += int(np.count_nonzero(out))
                 seen &= ~out
                 if self._note is not None:
-                    self._note(batch.first_row, out)
+                    self._note(batch.first_row, found)
             self.outskirts.add(batch.xyz, batch.first_row, seen)
             yield hidden(batch, ~seen | is_at_origin(batch.xyz))
 

@@ -10,8 +10,8 @@ from dynahull import clean
 from dynahull.checking import valid_points
 from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER
-from pipeline.configuration.run import Configuration, InputParameters
-from pipeline.eligibility import left_out, warn_of_left_out
+from pipeline.configuration.run import Configuration
+from pipeline.eligibility import LEFT_OUT, PROTECTED, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import PointScores
@@ -36,7 +36,8 @@ def clean_in_memory(
 ) -> CleanedMap:
     """Clean a map of one tile, and write its results."""
     observer.stage("reading", collection.point_count)
-    points, classes, unwanted = _read(collection, configuration.input, observer)
+    points, classes, marked = _read(collection, configuration, observer)
+    unwanted = marked == LEFT_OUT
     count = int(np.count_nonzero(unwanted & valid_points(points)))
     warn_of_left_out(count, configuration.input, observer)
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
@@ -47,13 +48,15 @@ def clean_in_memory(
         configuration.method(),
         classification=classes if collection.has_classification else None,
         left_out=unwanted if count else None,
+        protected=marked == PROTECTED,
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
     output, removal = configuration.output, configuration.removal
     decision, views = None, None
     if removal.weighs_evidence:
-        sums = DecisionSums.of(points, result.score, result.reason, removal.confidence)
+        weighed = np.where(result.protected, np.float32(np.nan), result.score)
+        sums = DecisionSums.of(points, weighed, result.reason, removal.confidence)
         decision = sums.decision()
     if output.report == "html":
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
@@ -69,6 +72,7 @@ def clean_in_memory(
         result.cluster,
         result.density,
         result.score,
+        result.reason,
         result.counts(),
         result.clusters,
         decision,
@@ -77,17 +81,17 @@ def clean_in_memory(
 
 
 def _read(
-    collection: MapCollection, parameters: InputParameters, observer: StageObserver
-) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return the points of a map, their classes, and which of them are left out."""
+    collection: MapCollection, configuration: Configuration, observer: StageObserver
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return the points of a map, their classes, and their marks."""
     count = collection.point_count
     points, classes = np.empty((count, 3)), np.zeros(count, np.uint8)
-    unwanted = np.zeros(count, np.bool_)
+    marked = np.zeros(count, np.uint8)
     for _, batch in collection.batches():
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         points[rows] = batch.xyz
         if batch.classification is not None:
             classes[rows] = batch.classification
-        unwanted[rows] = left_out(batch, parameters)
+        marked[rows] = marks(batch, configuration)
         observer.advance(len(batch.xyz))
-    return points, classes, unwanted
+    return points, classes, marked

@@ -48,11 +48,12 @@ def clean_in_tiles(
             views = partial(_views, job, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
-        cluster, density, score = None, None, None
+        cluster, density, score, reason = None, None, None, None
         if output.needs_scores:
             cluster = open_rows(job.rows_path("cluster"), np.int32)
             density = open_rows(job.rows_path("density"), np.float64)
             score = open_rows(job.rows_path("score"), np.float32)
+            reason = open_rows(job.rows_path("reason"), np.uint8)
         places = make_places(names, staging)
         in_parts = _write_in_parts(job, executor, observer, places)
         decoded, read = job.decoded, None
@@ -60,7 +61,9 @@ def clean_in_tiles(
             read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
         scores = kept_scores(job)
         write_maps(collection, output, labels, scores, places, observer, in_parts, read)
-    return CleanedMap(labels, cluster, density, score, counts, clusters, decision, views, tiles)
+    return CleanedMap(
+        labels, cluster, density, score, reason, counts, clusters, decision, views, tiles
+    )
 
 
 def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision | None) -> Views:

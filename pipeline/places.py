@@ -42,6 +42,9 @@ _POINTS, _SCORE, _REASONS = 0, 1, 2
 _LOW = _REASONS + len(_WORDS)
 _HIGH, _WIDTH = _LOW + 3, _LOW + 6
 _LATTICE = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+NOWHERE = np.zeros((2, 2))
+"""A core in which no place ends: of points that lie anywhere."""
+
 _MANY = 100_000
 """Rows and voxels that are gathered before they are added up."""
 

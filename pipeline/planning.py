@@ -1,5 +1,6 @@
 """A map planned, or cut into chunks, without being cleaned."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from pipeline.plan.plan import check_plan, make_plan
 from pipeline.plan.resources import check_one_tile, is_one_tile
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
-from pipeline.showing import check_named_file, drawing_library, only_showing, printable
+from pipeline.showing import check_named_file, drawable, only_showing, printable
 from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
 from pipeline.units import open_collection
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
@@ -32,9 +33,14 @@ _PUBLISHING = "publishing"
 
 
 def plan_map(
-    maps: Sequence[str], configuration: Configuration, observer: StageObserver, picture: Path | None
+    maps: Sequence[str],
+    configuration: Configuration,
+    observer: StageObserver,
+    picture: Path | None,
+    *,
+    as_json: bool = False,
 ) -> str:
-    """Survey a map and return its plan as text; draw it if wanted.
+    """Survey a map and return its plan as text, or as JSON; draw it if wanted.
 
     Raises
     ------
@@ -45,8 +51,9 @@ def plan_map(
     paths = find_map_files(maps)
     if picture is not None:
         check_named_file(picture, ".png", paths)
-        drawing_library()  # before the work, not after it
+        picture = drawable(picture, observer.warn)
     collection = open_collection(paths, configuration.input, workers)
+    configuration = configuration.of_size(collection.point_count)
     observer.stage("survey", collection.point_count)
     surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
     observer.finish()
@@ -61,13 +68,14 @@ def plan_map(
         with only_showing(str(picture), observer.warn):
             draw_plan(plan, surveyed, picture)
             drawn = f"\ndrawn:             {printable(picture)}"
-    text = plan.to_text()
     if one_tile:
         check_one_tile(collection, configuration)
-        text += "\none tile: cleaned in memory, without temporary files"
     else:
         check_plan(plan, configuration, Path())
-    return text + drawn
+    if as_json:
+        return json.dumps({**plan.figures(), "one_tile": one_tile}, indent=2)
+    told = "\none tile: cleaned in memory, without temporary files" if one_tile else ""
+    return plan.to_text() + told + drawn
 
 
 def tile_map(

@@ -98,13 +98,12 @@ class LogDisplay(Display):
         logger.info("%s: %s points", stage, f"{total:,}")
 
     def update(self, done: int) -> None:
-        """Log the rate and the time left, if the last line is some seconds old."""
-        self._done = done
+        """Log the rate since the last line and the time left, if that is some seconds old."""
         now = monotonic()
         if now - self._said < _LINE_EVERY or not done:
             return
-        self._said = now
-        rate = done / (now - self._begun)
+        rate = max(done - self._done, 1) / (now - self._said)
+        self._said, self._done = now, done
         left = max(self._total - done, 0) / rate
         share = min(done / self._total, 1.0) if self._total else 1.0
         logger.info(
@@ -140,14 +139,15 @@ class TerminalDisplay(Display):
             TimeRemainingColumn(),
             console=Console(stderr=True),
         )
-        self._task = self._progress.add_task("", rate="")
+        self._task, self._total = self._progress.add_task("", rate=""), 1
         self._progress.remove_task(self._task)
         self._begun = 0.0
 
     def begin(self, stage: str, total: int) -> None:
         """Show a new bar below those that are done."""
         self._progress.start()
-        self._task = self._progress.add_task(stage, total=total, rate="")
+        self._total = max(total, 1)
+        self._task = self._progress.add_task(stage, total=self._total, rate="")
         self._begun = monotonic()
 
     def update(self, done: int) -> None:
@@ -156,7 +156,8 @@ class TerminalDisplay(Display):
         self._progress.update(self._task, completed=done, rate=f"{rate:,.0f} points/s")
 
     def end(self) -> None:
-        """Leave the bar as it is."""
+        """Leave a full bar: a stage of which no more is told is done."""
+        self._progress.update(self._task, completed=self._total)
         self._progress.stop_task(self._task)
         self._progress.refresh()
 
@@ -168,6 +169,11 @@ class TerminalDisplay(Display):
 @contextmanager
 def watching() -> Iterator[StageObserver]:
     """Observe a run: with a bar at a terminal, with plain lines on standard error elsewhere."""
+    if not logger.isEnabledFor(logging.INFO):  # --quiet
+        observer = StageObserver(Display())
+        yield observer
+        observer.finish()
+        return
     if not sys.stderr.isatty():
         observer = StageObserver(LogDisplay())
         yield observer

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dynahull.errors import MissingClassificationError
+from dynahull.ground.cloth import cloth_library
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.in_memory import clean_in_memory
@@ -16,7 +17,7 @@ from pipeline.in_tiles import clean_in_tiles
 from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
-from pipeline.outputs.writing import write_labels
+from pipeline.outputs.writing import CleanedMap, write_labels
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
 from pipeline.progress import StageObserver
@@ -67,6 +68,7 @@ def run(
     paths = find_map_files(maps)
     cores = available_cores(configuration.execution.workers)
     collection = open_collection(paths, configuration.input, cores)
+    configuration = configuration.of_size(collection.point_count)
     folder = output or default_folder(paths)
     if any(Path(each).is_dir() and Path(each).resolve() == folder.resolve() for each in maps):
         raise OutputError(f"{folder}: this folder is the input; choose another -o")
@@ -74,6 +76,12 @@ def run(
         raise MissingClassificationError(
             f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
         )
+    if configuration.removal.protect_classes and not collection.has_classification:
+        raise MissingClassificationError(
+            f"{paths[0]}: removal.protect_classes expects a LAS map with classes, found none"
+        )
+    if configuration.ground.method == "csf":
+        cloth_library()  # before the work, not after it
     begun = (folder / WORK_FOLDER).exists() and not fresh
     one_tile = is_one_tile(collection, configuration, begun=begun)
     if one_tile:
@@ -83,7 +91,7 @@ def run(
     check_mode(collection.readers, configuration)
     names = OutputNames.of(collection.readers, configuration.output.mode)
     wants_page = configuration.output.report == "html"
-    results = names.all_files(configuration.output.labels, wants_page)
+    results = names.all_files(bool(configuration.output.labels), wants_page)
     with (
         output_folder(folder, results, paths) as staging,
         unchanged(paths) as state,
@@ -102,26 +110,43 @@ def run(
         else:
             job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
-        if configuration.output.labels:
-            write_labels(cleaned, staging / LABELS_FILE)
-        observer.finish()
-        report = RunReport.of(
-            folder,
-            collection,
-            digest,
-            configuration,
-            cleaned.counts,
-            cleaned.clusters,
-            cleaned.decision,
-            names,
-            observer,
+        report = write_account(
+            folder, collection, digest, configuration, cleaned, names, staging, observer
         )
-        (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
-        if cleaned.views is not None:
-            report = _write_page(staging, report, cleaned.views, cleaned.tiles, observer)
-        (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     if not configuration.output.keep_work:
         _give_up_work(work, observer)
+    return report
+
+
+def write_account(
+    folder: Path,
+    collection: MapCollection,
+    digest: str,
+    configuration: Configuration,
+    cleaned: CleanedMap,
+    names: OutputNames,
+    staging: Path,
+    observer: StageObserver,
+) -> RunReport:
+    """Write all that is said of a cleaned map beside it: labels, configuration, page, figures."""
+    if configuration.output.labels:
+        write_labels(cleaned, staging / LABELS_FILE)
+    observer.finish()
+    report = RunReport.of(
+        folder,
+        collection,
+        digest,
+        configuration,
+        cleaned.counts,
+        cleaned.clusters,
+        cleaned.decision,
+        names,
+        observer,
+    )
+    (staging / CONFIGURATION_FILE).write_text(configuration.to_yaml(), encoding="utf-8")
+    if cleaned.views is not None:
+        report = _write_page(staging, report, cleaned.views, cleaned.tiles, observer)
+    (staging / RUN_FILE).write_text(report.to_json(), encoding="utf-8")
     return report
 
 

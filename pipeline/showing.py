@@ -7,10 +7,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError, OutputError
 from tiling.foreign_text import escaped as printable
 
-__all__ = ["check_named_file", "drawing_library", "is_text", "only_showing", "printable"]
+__all__ = [
+    "check_named_file",
+    "drawable",
+    "drawing_library",
+    "is_text",
+    "only_showing",
+    "printable",
+]
 
 logger = logging.getLogger("dynahull")
 
@@ -78,6 +86,17 @@ def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> No
         raise OutputError(f"{path}: this is what is read; choose another name")
 
 
+def drawable(picture: Path | None, warn: Callable[[str], None]) -> Path | None:
+    """Return where to draw a picture, before any work; None, with a warning, where none can be."""
+    if picture is not None:
+        try:
+            drawing_library()
+        except MissingPackageError as error:
+            warn(f"{error}; {printable(picture)} is left out")
+            return None
+    return picture
+
+
 def drawing_library() -> Any:
     """Import Matplotlib.
 
@@ -91,6 +110,6 @@ def drawing_library() -> Any:
         import matplotlib.figure  # noqa: PLC0415
     except (ImportError, OSError, RuntimeError) as error:
         raise MissingPackageError(
-            f"--picture needs Matplotlib: pip install 'dynahull-pipeline[plot]' ({error})"
+            f"--picture needs Matplotlib: {install_command('plot', 'matplotlib')} ({error})"
         ) from error
     return mpl

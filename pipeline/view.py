@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.extras import install_command
 from dynahull.labels import Label
 from pipeline.errors import MissingViewerError, OutputError
 from pipeline.outputs.reading import ResultPoints, read_result
@@ -148,7 +149,7 @@ def _import_rerun() -> Any:
         import rerun.blueprint  # noqa: PLC0415
     except (ImportError, OSError) as error:
         raise MissingViewerError(
-            f"view needs Rerun: pip install 'dynahull-pipeline[rerun]' ({error})"
+            f"view needs Rerun: {install_command('rerun', 'rerun-sdk')} ({error})"
         ) from error
     return rerun
 

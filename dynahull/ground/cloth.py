@@ -4,17 +4,37 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
 from dynahull.errors import InvalidPointsError, MissingDependencyError
+from dynahull.extras import install_command
 from dynahull.ground.lattice import Booleans, Floats
 from dynahull.ground.parameters import ClothParameters
 
-__all__ = ["cloth_ground"]
+__all__ = ["cloth_ground", "cloth_library"]
 
 _MOST_PARTICLES = 5e7
 """Of the cloth; each takes some hundred bytes."""
+
+
+def cloth_library() -> Any:
+    """Import the package.
+
+    Raises
+    ------
+    MissingDependencyError
+        If it is not installed.
+    """
+    try:
+        import CSF  # noqa: PLC0415 (optional)
+    except ImportError as error:
+        raise MissingDependencyError(
+            "ground.method: csf needs the package cloth-simulation-filter: "
+            + install_command("csf", "cloth-simulation-filter")
+        ) from error
+    return CSF
 
 
 def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
@@ -32,13 +52,7 @@ def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
     MissingDependencyError
         If the package is not installed.
     """
-    try:
-        import CSF  # noqa: PLC0415 (optional)
-    except ImportError as error:
-        raise MissingDependencyError(
-            "ground.method: csf needs the package cloth-simulation-filter: "
-            "pip install 'dynahull-pipeline[csf]'"
-        ) from error
+    CSF = cloth_library()  # noqa: N806 (its name)
     mask = np.zeros(len(points), np.bool_)
     if len(points) == 0:
         return mask

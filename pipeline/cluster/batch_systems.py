@@ -15,6 +15,7 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
+from dynahull.extras import install_command
 from pipeline.configuration.cluster import ClusterParameters
 from pipeline.configuration.quantities import clock
 from pipeline.errors import ClusterError, MissingPackageError
@@ -370,7 +371,7 @@ def cluster_class(system: BatchSystem) -> Any:
     except ImportError:
         raise MissingPackageError(
             f"{system.name}: jobs of a batch system need the optional package dask-jobqueue: "
-            "pip install 'dynahull-pipeline[cluster]'"
+            + install_command("cluster", "dask-jobqueue")
         ) from None
     logging.getLogger("dask_jobqueue").setLevel(logging.WARNING)  # it tells of its defaults
     return getattr(dask_jobqueue, system.cluster_class)

@@ -1,25 +1,41 @@
 """The command line. Heavy imports live inside the commands, so that `--help` answers at once."""
 
+import inspect
 import io
 import logging
 import os
 import signal
 import sys
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, NoReturn, TextIO
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
 from pipeline.commands.evaluate import evaluate_command
 from pipeline.commands.nightly import nightly_command
-from pipeline.commands.run import cancel_command, preview_command, run_command, submit_command
+from pipeline.commands.run import (
+    apply_command,
+    cancel_command,
+    preview_command,
+    run_command,
+    submit_command,
+)
 from pipeline.commands.tiles import (
     clean_command,
+    discard_command,
     plan_command,
     status_command,
     tile_command,
 )
-from pipeline.commands.tools import info_command, keys_command, simulate_command, view_command
+from pipeline.commands.tools import (
+    info_command,
+    keys_command,
+    manual_command,
+    simulate_command,
+    view_command,
+)
 from tiling.foreign_text import LONGEST_LINE, printable
 
 EXIT_FAILURE = 1
@@ -30,6 +46,34 @@ EXIT_NOT_READ = 141
 
 logger = logging.getLogger("dynahull")
 
+
+Quiet = Annotated[
+    bool, typer.Option("-q", "--quiet", help="Say no more than warnings and the answer.")
+]
+Verbose = Annotated[
+    bool, typer.Option("-v", "--verbose", help="Say all, and where an error comes from.")
+]
+
+
+def telling(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of how much it says."""
+
+    @wraps(command)
+    def told(*, quiet: bool, verbose: bool, **given: Any) -> None:
+        if quiet or verbose:
+            logger.setLevel(logging.DEBUG if verbose else logging.WARNING)
+        command(**given)
+
+    own = inspect.signature(command)
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+        for name, kind in (("quiet", Quiet), ("verbose", Verbose))
+    ]
+    told.__signature__ = own.replace(parameters=[*own.parameters.values(), *more])  # type: ignore[attr-defined]
+    told.__annotations__ = {**command.__annotations__, "quiet": Quiet, "verbose": Verbose}
+    return told
+
+
 app = typer.Typer(
     name="dynahull-pipeline",
     help="Remove the ghosts of moving things from a finished LiDAR map (DynaHull, arXiv "
@@ -37,7 +81,6 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 a map cannot be read, "
     "130 interrupted; `nightly` has more, see its help.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -77,20 +120,26 @@ def common(
     """Take the options of every command."""
 
 
-app.command("run")(run_command)
-app.command("info")(info_command)
-app.command("view")(view_command)
-app.command("simulate")(simulate_command)
-app.command("keys")(keys_command)
-app.command("plan")(plan_command)
-app.command("tile")(tile_command)
-app.command("status")(status_command)
-app.command("clean")(clean_command)
-app.command("submit")(submit_command)
-app.command("cancel")(cancel_command)
-app.command("evaluate")(evaluate_command)
-app.command("nightly")(nightly_command)
-app.command("preview")(preview_command)
+for name, command in (  # in the order of a first day
+    ("simulate", simulate_command),
+    ("info", info_command),
+    ("preview", preview_command),
+    ("run", run_command),
+    ("view", view_command),
+    ("evaluate", evaluate_command),
+    ("apply", apply_command),
+    ("plan", plan_command),
+    ("status", status_command),
+    ("discard", discard_command),
+    ("submit", submit_command),
+    ("cancel", cancel_command),
+    ("nightly", nightly_command),
+    ("tile", tile_command),
+    ("keys", keys_command),
+    ("manual", manual_command),
+):
+    app.command(name)(telling(command))
+app.command("clean", hidden=True)(telling(clean_command))
 
 
 def main() -> NoReturn:
@@ -109,7 +158,7 @@ def main() -> NoReturn:
         signal.signal(signal.SIGHUP, signal.default_int_handler)
     output = sys.stdout
     try:
-        app()
+        app(prog_name="dynahull-pipeline")
     except SystemExit as ended:
         if ended.code == EXIT_FAILURE and sys.stdout is not output:
             # Typer's own end where the reader of the output has gone. Other tools die of that
@@ -123,6 +172,7 @@ def main() -> NoReturn:
         if code is None:
             logger.exception("this is a defect of dynahull-pipeline; please report it")
             sys.exit(EXIT_FAILURE)
+        logger.debug("where it came from", exc_info=True)
         message = " ".join(str(error).split()) or type(error).__name__
         _fail(printable(message, LONGEST_LINE), code)
     sys.exit(0)

@@ -144,6 +144,8 @@ def evaluate_command(
 
     from pipeline.evaluation.options import EvaluationOptions  # noqa: PLC0415
     from pipeline.evaluation.report import evaluate_files  # noqa: PLC0415
+    from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
+    from pipeline.showing import printable  # noqa: PLC0415
 
     given = {
         "labels": labels,
@@ -163,3 +165,8 @@ def evaluate_command(
     )
     report = evaluate_files(cleaned, truth, original, options, json_file, picture)
     Console().print(report.to_table())
+    if report.confusion is not None:
+        typer.echo(report.confusion.summary())
+    page = Path(cleaned) / REPORT_FILE
+    if page.is_file():
+        typer.echo(f"report: {printable(page)}")

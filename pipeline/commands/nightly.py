@@ -19,12 +19,13 @@ def nightly_command(
     retry: Annotated[
         bool, typer.Option("--retry", help="Try once more what was set aside.")
     ] = False,
-    install: Annotated[
+    schedule: Annotated[
         bool,
         typer.Option(
-            "--install", help="Print a line for cron, and a service and timer of systemd."
+            "--schedule", help="Print a line for cron, and a service and timer of systemd."
         ),
     ] = False,
+    install: Annotated[bool, typer.Option("--install", hidden=True)] = False,
     example: Annotated[
         bool, typer.Option("--example", help="Print a commented NIGHTLY.yaml to begin with.")
     ] = False,
@@ -52,6 +53,8 @@ def nightly_command(
 
     found = load_nightly_settings(source, settings or [])
     if install:
+        typer.echo("note: --install is called --schedule now, as it installs nothing", err=True)
+    if install or schedule:
         from pipeline.nightly.install import install_text  # noqa: PLC0415
 
         typer.echo(install_text(found, source, settings or []))

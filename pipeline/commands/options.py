@@ -1,5 +1,11 @@
 """Arguments and options that several commands share."""
 
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -33,6 +39,22 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as neighbours.k=50."),
 ]
+WindowOption = Annotated[
+    tuple[float, float, float, float] | None,
+    typer.Option("--window", metavar="X0 Y0 X1 Y1", help="Clean this window alone, metres."),
+]
+HeightOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option("--height", metavar="Z0 Z1", help="Clean what is between these heights alone."),
+]
+Protect = Annotated[
+    Path | None,
+    typer.Option(
+        "--protect",
+        metavar="FILE",
+        help="Areas where nothing is removed: GeoJSON, WKT, or boxes, a line each.",
+    ),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler."),
@@ -49,6 +71,31 @@ TLS = Annotated[
     bool,
     typer.Option("--tls", help="Encrypt between scheduler, workers and run (cluster.tls)."),
 ]
+
+
+@contextmanager
+def telling_how_to_go_on() -> Iterator[None]:
+    """Say, where Ctrl-C or a signal ends the block, by which command it goes on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        words = [word for word in sys.argv[1:] if word != "--fresh"]
+        typer.echo(f"to go on: {shlex.join(['dynahull-pipeline', *words])}", err=True)
+        raise
+
+
+def part_settings(
+    window: tuple[float, ...] | None, height: tuple[float, ...] | None, protect: Path | None
+) -> list[str]:
+    """Return the options about a part of the map as settings of the configuration."""
+    from pipeline.areas import read_areas  # noqa: PLC0415 (slow to import)
+
+    settings = [f"input.window={list(window)}"] if window else []
+    settings += [f"input.height={list(height)}"] if height else []
+    if protect is not None:
+        areas = [area.model_dump() for area in read_areas(protect)]
+        settings.append(f"removal.protect={json.dumps(areas)}")
+    return settings
 
 
 def worker_settings(scheduler: str | None, cluster: str | None, tls: bool) -> list[str]:

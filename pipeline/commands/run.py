@@ -9,11 +9,16 @@ from pipeline.commands.options import (
     TLS,
     ClusterName,
     ConfigurationSource,
+    HeightOption,
     Maps,
     Output,
+    Protect,
     Scheduler,
     Settings,
+    WindowOption,
     check_encryption,
+    part_settings,
+    telling_how_to_go_on,
     worker_settings,
 )
 
@@ -35,6 +40,9 @@ def run_command(
         bool,
         typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
     ] = False,
+    window: WindowOption = None,
+    height: HeightOption = None,
+    protect: Protect = None,
     scheduler: Scheduler = None,
     cluster: ClusterName = None,
     tls: TLS = False,
@@ -50,13 +58,47 @@ def run_command(
 
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
-    wanted += worker_settings(scheduler, cluster, tls)
+    wanted += worker_settings(scheduler, cluster, tls) + part_settings(window, height, protect)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
     check_encryption(configuration, tls)
-    with watching() as observer:
+    with telling_how_to_go_on(), watching() as observer:
         report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
+    typer.echo(report.summary())
+
+
+def apply_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+    output: Annotated[
+        str | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder. [default: the run's own]"),
+    ] = None,
+    confidence: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Remove from this probability on: removal.confidence."),
+    ] = None,
+    settings: Settings = None,
+    protect: Protect = None,
+    restore: Annotated[
+        list[int] | None,
+        typer.Option(metavar="N", help="Put back what was removed at this place of the report."),
+    ] = None,
+) -> None:
+    """Decide again, without computing again: split the map of a run by other settings."""
+    from pipeline.apply import decide_again  # noqa: PLC0415
+    from pipeline.areas import read_areas  # noqa: PLC0415
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+    from pipeline.progress import watching  # noqa: PLC0415
+
+    if output == "":
+        raise ConfigurationError("-o: expected a folder, found nothing")
+    wanted = [*(settings or [])]
+    wanted += [] if confidence is None else [f"removal.confidence={confidence}"]
+    areas = [] if protect is None else read_areas(protect)
+    place = Path(output) if output else None
+    with watching() as observer:
+        report = decide_again(folder, place, wanted, areas, restore or [], observer)
     typer.echo(report.summary())
 
 
@@ -110,10 +152,9 @@ def preview_command(
     ] = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
-    window: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(metavar="X0 Y0 X1 Y1", help="Clean this window, metres."),
-    ] = None,
+    window: WindowOption = None,
+    height: HeightOption = None,
+    protect: Protect = None,
     centre: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="X Y", help="Clean a square window around this place."),
@@ -155,7 +196,8 @@ def preview_command(
         chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]
     ):
         raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
-    configuration = load_configuration(config, settings or [])
+    wanted = [*(settings or []), *part_settings(None, height, protect)]
+    configuration = load_configuration(config, wanted)
     with watching() as observer:
         report = preview(
             maps,

@@ -1,5 +1,6 @@
-"""The commands about tiles: `plan`, `tile`, `status`, `clean`."""
+"""The commands about tiles: `plan`, `tile`, `status`, `discard`."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -13,9 +14,11 @@ from pipeline.commands.options import (
     Scheduler,
     Settings,
     check_encryption,
+    telling_how_to_go_on,
     worker_settings,
 )
 
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")]
 
 
@@ -27,6 +30,7 @@ def plan_command(
         Path | None,
         typer.Option("-p", "--picture", metavar="PNG", help="Draw the tiles into this file."),
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Show how a map would be cut, and what that takes: tiles, memory, disk, time."""
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
@@ -35,7 +39,7 @@ def plan_command(
 
     configuration = load_configuration(config, settings or [])
     with watching() as observer:
-        text = plan_map(maps, configuration, observer, picture)
+        text = plan_map(maps, configuration, observer, picture, as_json=as_json)
     typer.echo(text)
 
 
@@ -58,28 +62,40 @@ def tile_command(
     wanted = [*(settings or []), *worker_settings(scheduler, cluster, tls)]
     configuration = load_configuration(config, wanted)
     check_encryption(configuration, tls)
-    with watching() as observer:
+    with telling_how_to_go_on(), watching() as observer:
         tiles = tile_map(maps, output, configuration, observer)
     typer.echo(f"written: {tiles} tiles in {output / 'chunks'}, described in store.json")
 
 
-def status_command(folder: Folder) -> None:
+def status_command(
+    folder: Folder,
+    as_json: AsJson = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Print again every two seconds, until the run ends.")
+    ] = False,
+) -> None:
     """Tell how far a run is: its stage, tasks done, failed and waiting, rate and time left."""
-    from pipeline.cluster.record import state_lines  # noqa: PLC0415
-    from pipeline.errors import WorkError  # noqa: PLC0415
-    from pipeline.status import status_text  # noqa: PLC0415
+    from rich.console import Console  # noqa: PLC0415
 
-    jobs = state_lines(folder)
-    try:
-        jobs.append(status_text(folder))
-    except WorkError:
-        if not jobs:  # a run that was submitted and has not begun leaves no work yet
-            raise
-    typer.echo("\n".join(jobs))
+    from pipeline.status import run_status  # noqa: PLC0415
+
+    found = run_status(folder)
+    while watch and found.is_alive:
+        Console().clear()  # a terminal, that is
+        typer.echo(found.to_json() if as_json else found.to_text())
+        time.sleep(2)
+        found = run_status(folder)
+    typer.echo(found.to_json() if as_json else found.to_text())
 
 
 def clean_command(folder: Folder) -> None:
-    """Remove what a run that failed left in its output folder; results stay."""
-    from pipeline.status import clean_folder  # noqa: PLC0415
+    """Do what `discard` does, by its former name."""
+    typer.echo("note: clean is called discard now, as it cleans no map", err=True)
+    discard_command(folder)
 
-    typer.echo(clean_folder(folder))
+
+def discard_command(folder: Folder) -> None:
+    """Remove the unfinished work of a run from its output folder; results stay."""
+    from pipeline.status import discard_work  # noqa: PLC0415
+
+    typer.echo(discard_work(folder))

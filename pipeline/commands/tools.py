@@ -98,3 +98,12 @@ def keys_command() -> None:
     from pipeline.configuration.page import configuration_page  # noqa: PLC0415
 
     typer.echo(configuration_page(), nl=False)
+
+
+def manual_command(context: typer.Context) -> None:
+    """Print the manual page: dynahull-pipeline manual > dynahull-pipeline.1, for `man`."""
+    from pipeline.commands.manual import manual_page  # noqa: PLC0415
+
+    parent = context.parent
+    assert parent is not None  # of the group
+    typer.echo(manual_page(parent))

@@ -9,6 +9,7 @@ import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from dynahull.protection import Area
 from pipeline.configuration.run import Configuration, ready_configurations
 
 _INTRODUCTION = """\
@@ -62,13 +63,17 @@ def _allowed(field: FieldInfo) -> str:
     if get_origin(field.annotation) is Literal:
         return ", ".join(f"`{option}`" for option in options)
     if get_origin(field.annotation) is tuple:
-        return "list of text" if get_args(field.annotation)[0] is str else "list of whole numbers"
+        words = {str: "text", Area: "areas"}
+        return f"list of {words.get(get_args(field.annotation)[0], 'whole numbers')}"
     kinds, bounds = [], list(field.metadata)
     for option in options:
         if get_origin(option) is Annotated:
             option, *constraints = get_args(option)  # noqa: PLW2901 (the type within)
             for constraint in constraints:
                 bounds += getattr(constraint, "metadata", [])
+        if get_origin(option) is tuple:
+            kinds.append(f"list of {len(get_args(option))} numbers")
+            continue
         kinds.append(_WORDS.get(option) or ", ".join(f"`{choice}`" for choice in get_args(option)))
     limits = [
         f"{sign} {getattr(bound, name):g}"

@@ -1,11 +1,14 @@
 """The configuration of a run: one YAML file, small models, unknown keys refused."""
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
+import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from dynahull.labels import Label
@@ -19,6 +22,9 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 
 NIGHTLY_EXAMPLE = "nightly.yaml"
 """Lies beside the ready configurations, and is none: it says what is cleaned every night."""
+
+_FEW_POINTS = 20_000_000
+"""Of a map whose labels are written unasked."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -123,15 +129,17 @@ class OutputParameters(BaseModel):
         "html",
         description="`html`: write report.html, a page that shows what the run did, offline.",
     )
-    labels: bool = Field(
-        False, description="Write labels.parquet: label, cluster, density and score of every point."
+    labels: bool | Literal["auto"] = Field(
+        "auto",
+        description="Write labels.parquet: label, cluster, density, score and reason of every "
+        "point, from which `apply` decides again. `auto`: of maps of up to 20 million points.",
     )
     classes: ClassParameters = ClassParameters()
 
     @property
     def needs_scores(self) -> bool:
         """Whether cluster and density of every point are kept until the outputs are written."""
-        return self.labels or self.mode == "label"
+        return bool(self.labels) or self.mode == "label"
 
 
 AnyClass = Annotated[int, Field(ge=0, le=255, strict=True)]
@@ -157,6 +165,40 @@ class InputParameters(BaseModel):
         True, description="The same of points with the flag `withheld`: deleted, as LAS has it."
     )
 
+    window: tuple[float, float, float, float] | None = Field(
+        None,
+        description="x0, y0, x1, y1, metres: what lies elsewhere is kept as it is. Points within "
+        "10 m of it still take part in the decision.",
+    )
+    height: tuple[float, float] | None = Field(
+        None, description="z0, z1, metres: the same for what is lower or higher."
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        ends = [*zip(self._low, self._high, strict=True)]
+        if any(not low < high for low, high in ends):
+            raise ValueError("window and height go from less to more, as x0 < x1")
+        return self
+
+    @property
+    def _low(self) -> tuple[float, ...]:
+        return (*(self.window or (-inf,) * 2)[:2], (self.height or (-inf,))[0])
+
+    @property
+    def _high(self) -> tuple[float, ...]:
+        return (*(self.window or (inf,) * 2)[-2:], (self.height or (inf,))[-1])
+
+    @property
+    def has_window(self) -> bool:
+        """Whether a part of the map is cleaned alone."""
+        return self.window is not None or self.height is not None
+
+    def in_window(self, xyz: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.bool_]:
+        """Tell which points lie in the window, or within a margin of it: low <= x, y, z < high."""
+        low, high = np.array(self._low) - margin, np.array(self._high) + margin
+        return np.asarray(((xyz >= low) & (xyz < high)).all(axis=1))
+
 
 class Configuration(MethodParameters):
     """Everything a run can be told: the sections of the method, and those of the product."""
@@ -172,6 +214,13 @@ class Configuration(MethodParameters):
         return MethodParameters.model_validate(
             {name: getattr(self, name) for name in MethodParameters.model_fields}
         )
+
+    def of_size(self, points: int) -> Self:
+        """Return what holds for a map of so many points."""
+        if self.output.labels != "auto":
+            return self
+        output = self.output.model_copy(update={"labels": points <= _FEW_POINTS})
+        return self.model_copy(update={"output": output})
 
     def to_yaml(self) -> str:
         """Return the configuration as the YAML that `load_configuration` reads back."""

@@ -80,6 +80,17 @@ class Confusion(BaseModel):
     recall: float | None
     f1: float | None
 
+    def summary(self) -> str:
+        """Return the two shares that say most, in words."""
+        shares = [
+            "undefined" if value is None else f"{value:.1f} %"
+            for value in (self.precision, self.recall)
+        ]
+        return (
+            f"precision {shares[0]} (of what was removed, what had moved), "
+            f"recall {shares[1]} (of what had moved, what was removed)"
+        )
+
     @classmethod
     def of(cls, decisions: "Tally") -> "Confusion":
         """Take them of the labelled points, counted by truth and by whether they were removed."""

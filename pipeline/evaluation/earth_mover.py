@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from dynahull.extras import install_command
 from pipeline.configuration.quantities import in_units
 from pipeline.errors import EvaluationError, MissingPackageError, PlanError
 from pipeline.evaluation.tiled_cloud import TiledCloud
@@ -95,8 +96,8 @@ def transport_library() -> Any:
         import ot  # noqa: PLC0415 (optional, and seconds of import time)
     except (ImportError, OSError) as error:
         raise MissingPackageError(
-            "the Earth Mover's Distance needs POT: pip install 'dynahull-pipeline[evaluation]', "
-            f"or leave it out with --emd-points 0 ({error})"
+            "the Earth Mover's Distance needs POT: "
+            f"{install_command('evaluation', 'POT')} ({error})"
         ) from error
     return ot
 

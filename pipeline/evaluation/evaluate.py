@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dynahull.progress import Observer
-from pipeline.errors import DiskSpaceError, EvaluationError
+from pipeline.errors import DiskSpaceError, EvaluationError, MissingPackageError
 from pipeline.evaluation.distances import Geometry, compare_geometry
-from pipeline.evaluation.earth_mover import check_transport
+from pipeline.evaluation.earth_mover import check_transport, transport_library
 from pipeline.evaluation.inputs import EvaluationInputs
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.options import EvaluationOptions
@@ -70,8 +70,6 @@ def evaluate(
         When the folder for temporary files has no room.
     EvaluationError
         When a map, or what of it can be compared, has no finite point.
-    MissingPackageError
-        When an Earth Mover's Distance is asked for without POT.
     PlanError
         When it would take more memory than there is.
     TilingError
@@ -79,6 +77,12 @@ def evaluate(
     """
     sources = _sources(inputs)
     if options.emd_points:  # before the work, not after it
+        try:
+            transport_library()
+        except MissingPackageError as error:
+            observer.warn(f"{error}; all else is measured")
+            options = options.model_copy(update={"emd_points": 0})
+    if options.emd_points:
         counts = {name: each.collection.point_count for name, each in sources.items()}
         check_transport(
             options.emd_points, counts["cleaned"], counts.get("truth") or counts["original"]

@@ -21,7 +21,7 @@ from pipeline.evaluation.preservation import Preservation
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching
 from pipeline.replacing import RUN_FILE
-from pipeline.showing import check_named_file, drawing_library
+from pipeline.showing import check_named_file, drawable
 from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 
@@ -227,11 +227,10 @@ def evaluate_files(
         if path is not None:
             check_named_file(path, kind, named)
     inputs = find_inputs(cleaned, truth, original, options)
-    if picture is not None:
-        if inputs.original is None:
-            raise ConfigurationError("--picture: expected --original, found none")
-        drawing_library()  # before the work, not after it
+    if picture is not None and inputs.original is None:
+        raise ConfigurationError("--picture: expected --original, found none")
     with watching() as observer:
+        picture = drawable(picture, observer.warn)
         if inputs.original is None and (Path(cleaned) / RUN_FILE).is_file():
             observer.warn(
                 f"{cleaned}: the map that was cleaned is no longer there; only distances are "

@@ -105,7 +105,7 @@ def systemd_timer(settings: NightlySettings) -> str:
 
 
 def install_text(settings: NightlySettings, source: Path, given: Sequence[str] = ()) -> str:
-    """Return all that `--install` prints; nothing is installed by it.
+    """Return all that `--schedule` prints; nothing is installed by it.
 
     Parameters
     ----------

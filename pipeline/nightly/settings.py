@@ -107,7 +107,7 @@ class NightlySettings(BaseModel):
         0, description="Space on the disk that is left to others; a map that needs it waits."
     )
     keep: Retention = Retention()
-    at: TimeOfDay = Field("02:00", description="When the night begins; for `--install` only.")
+    at: TimeOfDay = Field("02:00", description="When the night begins; for `--schedule` only.")
 
     def configuration_of(self, given: NightlyInput) -> Configuration:
         """Return how the maps of an input are cleaned."""

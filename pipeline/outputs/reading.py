@@ -1,7 +1,7 @@
 """The points of a finished run with all that its outputs say of them."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -156,11 +156,26 @@ def _read_table(path: Path) -> tuple[Labels, Densities]:
 
 def table_batches(path: Path) -> Iterator[tuple[Labels, Densities]]:
     """Yield labels and densities from `labels.parquet`, in order."""
+    for columns in row_columns(path, ("label", "density")):
+        yield columns["label"], columns["density"]
+
+
+def row_columns(path: Path, names: Sequence[str]) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield columns of `labels.parquet`, in order; labels as numbers.
+
+    Raises
+    ------
+    OutputError
+        When it has no such column.
+    """
     numbers = {label.title: label.value for label in Label}
     with open_parquet(path) as file:
-        for batch in file.iter_batches(
-            DEFAULT_BATCH, columns=["label", "density"], use_threads=False
-        ):
-            label = batch.column("label")
+        missing = set(names) - set(file.schema_arrow.names)
+        if missing:
+            raise OutputError(f"{path}: has no column {min(missing)}; run again with --labels")
+        for batch in file.iter_batches(DEFAULT_BATCH, columns=list(names), use_threads=False):
+            found = {name: batch.column(name) for name in names}
+            label = found.pop("label")
             codes = np.array([numbers[title] for title in label.dictionary.to_pylist()], np.uint8)
-            yield codes[label.indices.to_numpy()], batch.column("density").to_numpy()
+            values = {name: column.to_numpy() for name, column in found.items()}
+            yield {"label": codes[label.indices.to_numpy()], **values}

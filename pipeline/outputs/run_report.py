@@ -149,7 +149,7 @@ class RunReport(BaseModel):
             outputs=[
                 str(name)
                 for name in names.all_files(
-                    configuration.output.labels, configuration.output.report == "html"
+                    bool(configuration.output.labels), configuration.output.report == "html"
                 )
             ],
             input_hash=input_hash,

@@ -38,6 +38,7 @@ class CleanedMap:
     cluster : (N,) int32 array or None
     density : (N,) float64 array or None
     score : (N,) float32 array or None
+    reason : (N,) uint8 array or None
         None where nobody asked for them.
     counts : dict of str to int
         Points of each label.
@@ -54,6 +55,7 @@ class CleanedMap:
     cluster: NDArray[np.int32] | None
     density: NDArray[np.float64] | None
     score: NDArray[np.float32] | None
+    reason: NDArray[np.uint8] | None
     counts: dict[str, int]
     clusters: tuple[ClusterSummary, ...]
     decision: Decision | None
@@ -114,7 +116,8 @@ def write_maps(
     first_rows = [*collection.first_rows, collection.point_count]
     rows = [slice(*bounds) for bounds in pairwise(first_rows)]
     streams = [index for index in range(len(outputs)) if index not in written]
-    observer.stage("write", sum(rows[index].stop - rows[index].start for index in streams))
+    if streams:
+        observer.stage("write", sum(rows[index].stop - rows[index].start for index in streams))
     for index in streams:
         reader = collection.readers[index]
         own = None if scores is None else scores.of(rows[index])
@@ -139,8 +142,8 @@ def write_maps(
 
 
 def write_labels(cleaned: CleanedMap, path: Path) -> None:
-    """Write label, cluster, density and score of every point, in input order, as Parquet."""
-    every = (cleaned.labels, cleaned.cluster, cleaned.density, cleaned.score)
+    """Write what is known of every point, in input order, as Parquet."""
+    every = (cleaned.labels, cleaned.cluster, cleaned.density, cleaned.score, cleaned.reason)
     columns: list[NDArray[Any]] = [each for each in every if each is not None]  # asked for
     titles = pa.array([label.title for label in Label])
     schema = pa.schema(
@@ -149,6 +152,7 @@ def write_labels(cleaned: CleanedMap, path: Path) -> None:
             "cluster": pa.int32(),
             "density": pa.float64(),
             "score": pa.float32(),
+            "reason": pa.uint8(),
         }
     )
     with ExitStack() as stack:

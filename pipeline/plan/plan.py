@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,22 @@ class Plan:
     disk: int
     output_size: int
     seconds: float
+
+    def figures(self) -> dict[str, Any]:
+        """Return what `plan --json` prints: points, metres, bytes and seconds."""
+        counts = self.layout.counts
+        return {
+            "points": self.point_count,
+            "tiles": len(counts),
+            "largest_tile_points": int(counts.max(initial=0)),
+            "halo_metres": self.halo,
+            "points_read": int(self.held.sum()),
+            "workers": self.workers,
+            "worker_memory_bytes": self.worker_memory,
+            "temporary_bytes": self.disk,
+            "output_bytes": self.output_size,
+            "seconds": round(self.seconds, 1),
+        }
 
     def to_text(self) -> str:
         """Return the lines that `plan` prints."""

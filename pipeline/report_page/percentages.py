@@ -122,12 +122,13 @@ def confidence_percentages(
     own = 100 * (1 - confidence)
     lacking = 100 * (1 - sample.score.astype(np.float64))
     gone = sample.labels == Label.DYNAMIC
+    protected = ~gone & (sample.score >= confidence)
     lacking = np.where(
         gone, np.minimum(lacking, own), np.maximum(lacking, np.nextafter(own, NEVER))
     )
     return Percentages(
         own,
-        np.where(np.isnan(sample.score), NEVER, lacking),
+        np.where(np.isnan(sample.score) | protected, NEVER, lacking),
         100 / SCORE_STEPS,
         decision.removed_at()[::-1],
         {cluster.index: np.full(round(100 / _CUT_STEP) + 1, np.nan) for cluster in clusters},

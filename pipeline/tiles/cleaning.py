@@ -187,7 +187,8 @@ def _scored_by(job: Job) -> NDArray[np.float64] | None:
 def _fitted(job: Job, observer: StageObserver) -> Clusters:
     parameters = job.configuration.clustering
     tiles = range(len(job.store.layout))
-    observer.stage("clustering", len(tiles))
+    counts = job.store.layout.counts.tolist()
+    observer.stage("clustering", sum(counts))
     xyz, rows = np.empty((0, 3)), np.empty(0, np.int64)
     for tile in tiles:
         more_xyz, more_rows = job.work.load("ground", tile, *SAMPLE_NAMES)
@@ -195,7 +196,7 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
         # A sample of samples is the sample of the whole: so it never grows.
         chosen = sample_rows(rows, job.finite_count, parameters)
         xyz, rows = xyz[chosen], rows[chosen]
-        observer.advance(1)
+        observer.advance(counts[tile])
     return fit_clusters(xyz, parameters)
 
 
@@ -254,7 +255,7 @@ def _rescaled(
     job: Job, counts: NDArray[np.int64], observer: StageObserver
 ) -> tuple[Sequence[Fraction], list[Cut] | None]:
     """Apply Eq. 1, and find the cut of each cluster over all tiles."""
-    observer.stage("rescale", len(job.store.layout))
+    observer.stage("rescale", int(counts[counts >= 0].sum()))
     removal = job.configuration.removal
     present = counts[counts >= 0].tolist()
     warn_of_clusters(present, job.configuration.method(), observer)

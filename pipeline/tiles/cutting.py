@@ -16,7 +16,7 @@ from dynahull.checking import valid_points
 from dynahull.labels import Label
 from dynahull.progress import Observer
 from dynahull.strays import Strays, is_at_origin, warn_of_strays
-from pipeline.eligibility import Watcher, hidden, may_leave_out, warn_of_left_out
+from pipeline.eligibility import LEFT_OUT, PROTECTED, Watcher, hidden, may_mark, warn_of_left_out
 from pipeline.work.files import open_rows, read_sealed, write_rows, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
@@ -27,7 +27,7 @@ from tiling.pieces import write_pieces
 from tiling.survey import survey_batches
 
 SET_ASIDE_FILE = "set_aside.json"
-_LEFT_OUT = "left_out"
+_MARKS = "marks"
 _AT_A_TIME = 1 << 22
 
 
@@ -99,8 +99,8 @@ class PointsTakingPart:
         if self._set_aside.heap:
             unwanted |= is_at_origin(batch.xyz)
         if self._set_aside.left_out:
-            marked = open_rows(self._job.rows_path(_LEFT_OUT), np.uint8)
-            unwanted |= marked[first : first + count] != 0
+            marked = open_rows(self._job.rows_path(_MARKS), np.uint8)
+            unwanted |= marked[first : first + count] == LEFT_OUT
         strays = self._set_aside.strays
         start, stop = np.searchsorted(strays, [first, first + count])
         unwanted[strays[start:stop] - first] = True
@@ -112,18 +112,25 @@ def label_unscored(job: Job, labels: NDArray[np.uint8]) -> None:
     known = set_aside(job)
     labels[known.strays] = Label.UNSCORED
     if known.left_out:
-        marked = open_rows(job.rows_path(_LEFT_OUT), np.uint8)
+        marked = open_rows(job.rows_path(_MARKS), np.uint8)
         for start in range(0, len(labels), _AT_A_TIME):
-            of_block = np.flatnonzero(marked[start : start + _AT_A_TIME])
+            of_block = np.flatnonzero(marked[start : start + _AT_A_TIME] == LEFT_OUT)
             labels[start + of_block] = Label.UNSCORED
+
+
+def protected_rows(job: Job, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which points, by their row numbers, are never removed."""
+    if not may_mark(job.collection, job.configuration):
+        return np.zeros(len(rows), np.bool_)
+    return np.asarray(open_rows(job.rows_path(_MARKS), np.uint8)[rows] == PROTECTED)
 
 
 def make_copies(job: Job) -> None:
     """Make the files for what the survey keeps of the map; what is there of them stays."""
     if job.needs_classes:
         make_sized(job.rows_path("class"), job.collection.point_count)
-    if may_leave_out(job.collection, job.configuration.input):
-        make_sized(job.rows_path(_LEFT_OUT), job.collection.point_count)
+    if may_mark(job.collection, job.configuration):
+        make_sized(job.rows_path(_MARKS), job.collection.point_count)
     if job.decoded is not None:
         job.decoded.make()
 
@@ -136,8 +143,8 @@ def survey_rows(job: Job, number: int) -> TaskReport:
     if job.needs_classes:
         batches = _classes_kept(job, batches)
 
-    def note(first_row: int, out: NDArray[np.bool_]) -> None:
-        write_rows(job.rows_path(_LEFT_OUT), first_row, out.view(np.uint8))
+    def note(first_row: int, found: NDArray[np.uint8]) -> None:
+        write_rows(job.rows_path(_MARKS), first_row, found)
 
     watcher = Watcher(job.configuration, note)
     survey = survey_batches(watcher.watch(batches))

@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.model import Judged
+from dynahull.evidence.reasons import NO_REASON
 from dynahull.labels import Label
 from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages, smallest_counted
@@ -19,7 +20,7 @@ from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
 from pipeline.outputs.map_sample import MapSample, is_sampled
 from pipeline.places import ARRAY_NAMES, DecisionSums
 from pipeline.report_page.charts import TileWork
-from pipeline.tiles.cutting import label_unscored
+from pipeline.tiles.cutting import label_unscored, protected_rows
 from pipeline.tiles.density import KeptScores, first_cluster, scored_points
 from pipeline.tiles.ground import LABEL_NAMES, SHOWN_NAMES
 from pipeline.tiles.thresholds import Cut, ScoredPoints, find_cuts
@@ -37,6 +38,7 @@ SCORES: dict[str, tuple[DTypeLike, float]] = {
     "cluster": (np.int32, NO_CLUSTER),
     "density": (np.float64, np.nan),
     "score": (np.float32, np.nan),
+    "reason": (np.uint8, NO_REASON),
 }
 """Files of one value a row: their types, and what a row has that is in no tile."""
 
@@ -67,7 +69,7 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     removal = job.configuration.removal
     judged = judge_tile(job, tile) if removal.weighs_evidence else None
     score = None if judged is None else judged.score
-    removed = []
+    removed, safe = [], protected_rows(job, scored.rows)
     place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
         members = np.flatnonzero(scored.cluster == cluster)
@@ -77,11 +79,12 @@ def label_tile(job: Job, tile: int) -> TaskReport:
             dynamic = cut.dynamic(scored.density[members], scored.rows[members])
         else:
             dynamic = remove_likely(score[members], removal.confidence).dynamic
+        dynamic &= ~safe[members]
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
     kept: dict[str, NDArray[Any]] = {"label": labels}
     if judged is not None:
-        kept |= _decided(job, tile, judged).to_arrays()
+        kept |= _decided(job, tile, judged, safe).to_arrays()
     if job.configuration.output.report == "html":
         kept |= shown_points(job, tile, core_rows, labels, scored, score).to_arrays()
     if job.configuration.output.needs_scores:
@@ -90,7 +93,9 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         kept["density"] = np.full(len(core_rows), np.nan)
         kept["density"][place] = scored.density
         kept["score"] = np.full(len(core_rows), np.nan, np.float32)
-        kept["score"][place] = np.nan if score is None else score
+        kept["reason"] = np.full(len(core_rows), NO_REASON, np.uint8)
+        if judged is not None:
+            kept["score"][place], kept["reason"][place] = judged.score, judged.reason
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
         kept["thresholds"] = np.array(limits)
@@ -99,12 +104,13 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     return TaskReport(len(core_rows), (*found, *removed))
 
 
-def _decided(job: Job, tile: int, judged: Judged) -> DecisionSums:
+def _decided(job: Job, tile: int, judged: Judged, safe: NDArray[np.bool_]) -> DecisionSums:
     (xyz,) = job.work.load("ground", tile, "own_xyz")
     layout = job.store.layout
     core = np.stack([layout.low[tile], layout.high[tile]])
     confidence = job.configuration.removal.confidence
-    return DecisionSums.of(xyz, judged.score, judged.reason, confidence, core)
+    score = np.where(safe, np.float32(np.nan), judged.score)
+    return DecisionSums.of(xyz, score, judged.reason, confidence, core)
 
 
 def gather_decision(job: Job) -> Decision:

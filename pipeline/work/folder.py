@@ -205,9 +205,15 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+STAGES = ("survey", "cut", "chunk", "ground", "density", "evidence", "label", "write")
+"""Those whose work is shared out, in their order."""
+
+
 def stages_begun(root: Path) -> Iterator[tuple[str, int, int]]:
-    """Yield, for each stage of a work folder, its name and its tasks done and failed."""
-    for folder in sorted(path for path in root.iterdir() if path.is_dir()):
+    """Yield, for each stage of a work folder in order, its name and its tasks done and failed."""
+    for folder in (root / stage for stage in STAGES):
+        if not folder.is_dir():
+            continue
         names = [path.suffix for path in folder.iterdir() if not path.name.startswith(".")]
         if ".done" in names or ".failed" in names:
             yield folder.name, names.count(".done"), names.count(".failed")

@@ -9,6 +9,7 @@ at: pieces and chunks, once all points are further on.
 
 import hashlib
 import json
+import logging
 import os
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -17,10 +18,12 @@ from pathlib import Path
 from pipeline.configuration.run import Configuration
 from pipeline.progress import StageObserver
 from pipeline.work.files import read_if_whole
-from pipeline.work.folder import is_self_contained, remove, remove_work
+from pipeline.work.folder import is_self_contained, remove, remove_work, stages_begun
 from pipeline.work.job import CHUNKS_FOLDER, CREATING, FITTING, JOB_FILE, PLANNING, Job
 from pipeline.work.map_state import MapState
 from tiling.ledger import Written
+
+logger = logging.getLogger("dynahull")
 
 _NAMED = 3
 """Damaged files that a warning names."""
@@ -73,6 +76,8 @@ def open_job(
         work.mkdir()
     job.save()
     _Verification(job, observer, stage).all()
+    if done := [f"{stage} {count}" for stage, count, _ in stages_begun(work) if count]:
+        logger.info("going on with an earlier run; tasks done: %s", ", ".join(done))
     return job
 
 

@@ -170,3 +170,54 @@ def test_stopped_in_the_middle_leaves_nothing(wanted, tmp_path):
     assert process.returncode == 130
     assert "error: interrupted" in rest
     assert [path.name for path in tmp_path.iterdir()] == ["big.npy"]
+
+
+def test_help_has_the_commands_in_the_order_of_a_first_day():
+    shown = re.findall(r"^│ ([a-z]+) ", call("--help").stdout, re.MULTILINE)
+    assert shown[:6] == ["simulate", "info", "preview", "run", "view", "evaluate"]
+    assert "clean" not in shown  # an alias
+
+
+def test_the_former_name_of_discard_works_with_a_note(tmp_path):
+    done = call("clean", tmp_path)
+    assert done.stderr.startswith("note: clean is called discard now")
+    assert done.stderr.splitlines()[1:] == call("discard", tmp_path).stderr.splitlines()
+    assert done.returncode == 1
+
+
+def test_quiet_says_the_answer_alone_and_verbose_where_an_error_comes_from(map_file, tmp_path):
+    settings = ["--set", "ground.method=none", "--set", "neighbours.k=20"]
+    quiet = call("run", map_file, *settings, "--quiet", cwd=tmp_path)
+    assert "points removed" in quiet.stdout
+    assert "done in" not in quiet.stderr
+    assert "Traceback" in call("info", tmp_path / "none.npy", "-v").stderr
+    assert "Traceback" not in call("info", tmp_path / "none.npy").stderr
+
+
+def test_the_key_that_is_missing_beside_another_is_named(map_file):
+    done = call("run", map_file, "--set", "removal.max_percent=3")
+    assert done.returncode == 2
+    assert "set removal.min_percent as well, to no more than 3" in done.stderr
+
+
+def test_plan_and_status_as_json(map_file, tmp_path):
+    settings = ["--set", "ground.method=none", "--set", "neighbours.k=20"]
+    plan = json.loads(call("plan", map_file, *settings, "--json").stdout)
+    assert plan["points"] == 1054
+    assert plan["one_tile"]
+    assert call("run", map_file, *settings, cwd=tmp_path).returncode == 0
+    for watch in ([], ["--watch"]):  # a run that has ended is not waited for
+        told = json.loads(call("status", "wall_dynahull", "--json", *watch, cwd=tmp_path).stdout)
+        assert (told["state"], told["is_alive"]) == ("finished", False)
+
+
+def test_the_manual_page_has_every_command_and_option():
+    page = call("manual").stdout
+    assert page.startswith(".TH DYNAHULL-PIPELINE 1")
+    for words in ('.SS "run ', '.SS "nightly ', "\\-\\-keep\\-work", ".SH EXIT STATUS"):
+        assert words in page, words
+
+
+def test_completion_is_typers_own():
+    asked = {"_DYNAHULL_PIPELINE_COMPLETE": "source_bash"}
+    assert "complete_bash" in call(env={**os.environ, **asked}).stdout

@@ -100,7 +100,7 @@ def test_labels_have_one_row_a_point_in_input_order(map_file, tmp_path):
     points = open_map(map_file)
     xyz = np.concatenate([batch.xyz for batch in points.batches()])
     result = clean(xyz, load_configuration(None, FAST).method())
-    assert labels.column_names == ["label", "cluster", "density", "score"]
+    assert labels.column_names == ["label", "cluster", "density", "score", "reason"]
     assert labels["label"].to_pylist() == [Label(label).title for label in result.labels]
     np.testing.assert_array_equal(labels["cluster"].to_numpy(), result.cluster)
     np.testing.assert_array_equal(labels["density"].to_numpy(), result.density)

@@ -13,7 +13,7 @@ from pipeline.commands import app as cli
 from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.status import status_text
+from pipeline.status import run_status
 from pipeline.tiles import stages
 from pipeline.work.folder import WORK_FOLDER
 
@@ -174,7 +174,7 @@ def test_a_damaged_file_of_any_kind_is_made_again(damage, killed, tmp_path):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
         shutil.copytree(out, tmp_path / "out")
         damage(tmp_path / "out" / WORK_FOLDER / chance.choice(of_kind), chance.random())
-        status_text(tmp_path / "out")
+        run_status(tmp_path / "out")
         report = cleaned(map_file, tmp_path / "out", wanted)
         assert results(tmp_path / "out") == expected, kind
         assert all("not as it was written" in each for each in told_by(report)), report.warnings

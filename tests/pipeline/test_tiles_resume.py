@@ -18,7 +18,7 @@ from pipeline.configuration.run import load_configuration
 from pipeline.errors import InputChangedError, OutputError, PipelineError, TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.status import status_text
+from pipeline.status import run_status
 from pipeline.tiles import stages
 from pipeline.work import opening
 from pipeline.work.files import read_sealed, write_sealed
@@ -556,7 +556,7 @@ def test_a_failed_task_is_named_and_the_same_command_goes_on(
     assert f"the stage {stage} failed ({number}: " in message
     assert reason in message
     assert "\n" not in message
-    told = status_text(tmp_path / "out")
+    told = run_status(tmp_path / "out").to_text()
     assert f"task {number} failed: " in told
     assert reason in told
     assert not (tmp_path / "out/run.json").exists()

@@ -6,6 +6,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
 
@@ -28,7 +29,7 @@ def open3d() -> ModuleType:
     except (ImportError, OSError) as error:
         raise MissingPackageError(
             "scenes of meshes: expected Open3D, which casts their rays, found none that imports "
-            f"({error}): pip install 'dynahull-pipeline[open3d]'"
+            f"({error}): {install_command('open3d', 'open3d')}"
         ) from error
     module: ModuleType = package
     return module

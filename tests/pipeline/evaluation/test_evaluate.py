@@ -16,7 +16,6 @@ from pipeline.configuration.run import load_configuration
 from pipeline.errors import (
     ConfigurationError,
     EvaluationError,
-    MissingPackageError,
     OutputError,
 )
 from pipeline.evaluation.evaluate import evaluate
@@ -233,7 +232,25 @@ def test_the_same_seed_gives_the_same_distance(scene):
     assert first.geometry.earth_mover.distance != other.geometry.earth_mover.distance
 
 
-def test_what_does_not_fit_together_is_one_line(scene, monkeypatch):
+def test_without_the_extra_packages_all_else_is_measured(scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ot", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    report = evaluate_files(
+        str(scene / "cleaned.npy"),
+        str(scene / "labelled.laz"),
+        None,
+        EvaluationOptions.checked(labels="user_data", emd_points=10),
+        picture=scene / "a.png",
+    )
+    assert report.earth_mover is None
+    assert report.confusion is not None
+    assert [warning.split(" needs ")[1].split(":")[0] for warning in report.warnings] == [
+        "Matplotlib", "POT",
+    ]  # fmt: skip
+    assert "precision" in report.confusion.summary()
+
+
+def test_what_does_not_fit_together_is_one_line(scene):
     cleaned = scene / "cleaned.npy"
     pq.write_table(pa.table({"moving": [True, False]}), scene / "short.parquet")
     with pytest.raises(EvaluationError, match="give it by --original"):
@@ -251,9 +268,6 @@ def test_what_does_not_fit_together_is_one_line(scene, monkeypatch):
     np.save(scene / "nothing.npy", np.full((3, 3), np.nan))
     with pytest.raises(EvaluationError, match=r"nothing\.npy: expected finite points"):
         figures_of(scene / "nothing.npy", scene / "static.npy")
-    monkeypatch.setitem(sys.modules, "ot", None)
-    with pytest.raises(MissingPackageError, match="or leave it out with --emd-points 0"):
-        figures_of(cleaned, scene / "static.npy", emd_points=10)
     with pytest.raises(ConfigurationError, match="--picture: expected --original"):
         evaluate_files(
             str(cleaned), str(scene / "static.npy"), None, NO_TRANSPORT, picture=scene / "a.png"

@@ -1,4 +1,4 @@
-"""What `--install` prints: systemd takes it, a shell reads it back, and cron runs it."""
+"""What `--schedule` prints: systemd takes it, a shell reads it back, and cron runs it."""
 
 import json
 import os
@@ -65,7 +65,7 @@ def test_what_systemd_is_not_to_expand_is_escaped(awkward):
 
 def test_the_command_prints_both_and_installs_nothing(awkward):
     done = subprocess.run(
-        [*COMMAND, str(awkward), "--install"], capture_output=True, text=True, check=True
+        [*COMMAND, str(awkward), "--schedule"], capture_output=True, text=True, check=True
     )
     assert crontab_line(load_nightly_settings(awkward), awkward) in done.stdout.splitlines()
     assert "[Service]" in done.stdout
@@ -76,7 +76,7 @@ def test_the_command_prints_both_and_installs_nothing(awkward):
 def test_what_was_set_beside_the_file_holds_for_the_nights_as_well(awkward):
     given = "inputs=[{maps: '50% of $HOME/*.npy'}]"
     done = subprocess.run(
-        [*COMMAND, str(awkward), "--set", given, "--set", "output=there", "--install"],
+        [*COMMAND, str(awkward), "--set", given, "--set", "output=there", "--schedule"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     line = next(line for line in done.stdout.splitlines() if line.startswith("0 2 * * * "))

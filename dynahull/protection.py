@@ -1,0 +1,88 @@
+"""What is never removed, whatever the method says: points of some classes, or in some areas."""
+
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, model_validator
+
+Corner = tuple[float, float]
+
+
+class Area(BaseModel):
+    """A polygon seen from above, between two heights; metres, as the map's coordinates.
+
+    Attributes
+    ----------
+    rings : tuple of rings, each of at least three corners (x, y)
+        What lies within an odd number of them is in the area: the second ring is a hole.
+    low, high : float or None
+        z; None for no limit.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rings: tuple[tuple[Corner, ...], ...]
+    low: float | None = None
+    high: float | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if not self.rings or any(len(ring) < 3 for ring in self.rings):
+            raise ValueError("an area has rings of at least three corners")
+        if not np.isfinite([corner for ring in self.rings for corner in ring]).all():
+            raise ValueError("corners of an area are finite numbers")
+        return self
+
+    @classmethod
+    def box(cls, low: Sequence[float], high: Sequence[float]) -> "Area":
+        """Return the box between two corners, (x, y) or (x, y, z)."""
+        (x0, y0), (x1, y1) = low[:2], high[:2]
+        heights = {"low": low[2], "high": high[2]} if len(low) > 2 else {}
+        return cls(rings=(((x0, y0), (x1, y0), (x1, y1), (x0, y1)),), **heights)
+
+    def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which points lie in it, (n,), by the even-odd rule."""
+        corners = np.concatenate([np.array(ring) for ring in self.rings])
+        flat = xyz[:, :2]
+        near = ((flat >= corners.min(axis=0)) & (flat <= corners.max(axis=0))).all(axis=1)
+        if self.low is not None:
+            near &= xyz[:, 2] >= self.low
+        if self.high is not None:
+            near &= xyz[:, 2] <= self.high
+        rows = np.flatnonzero(near)
+        x, y = flat[rows].T
+        inside = np.zeros(len(rows), np.bool_)
+        for ring in self.rings:
+            for (x0, y0), (x1, y1) in zip(ring, (*ring[1:], ring[0]), strict=True):
+                if y0 != y1:
+                    crosses = (y < y0) != (y < y1)
+                    inside ^= crosses & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+        near[rows] = inside
+        return np.asarray(near)
+
+
+def protected_points(
+    xyz: NDArray[np.float64],
+    classes: NDArray[np.uint8] | None,
+    protected_classes: Sequence[int],
+    areas: Sequence[Area],
+) -> NDArray[np.bool_]:
+    """Tell which points are never removed, (n,).
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64 array
+        Metres.
+    classes : (n,) uint8 array or None
+        ASPRS classes, where there are any.
+    protected_classes : sequence of int
+    areas : sequence of Area
+    """
+    protected = np.zeros(len(xyz), np.bool_)
+    if classes is not None and protected_classes:
+        protected |= np.isin(classes, protected_classes)
+    for area in areas:
+        protected |= area.holds(xyz)
+    return protected

@@ -1,0 +1,336 @@
+"""Deciding again without computing again: `dynahull-pipeline apply`.
+
+The map is split anew by what a run kept of each point in `labels.parquet`. Nothing is held of all
+points but files of one value a row, so that memory does not grow with the map.
+"""
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from dynahull.labels import Label
+from dynahull.protection import Area
+from dynahull.removal import remove_likely
+from dynahull.rescale import removal_percentages
+from dynahull.result import NO_CLUSTER, ClusterSummary
+from pipeline.configuration.run import Configuration, load_configuration
+from pipeline.eligibility import PROTECTED, marks
+from pipeline.errors import ConfigurationError, InputChangedError, OutputError
+from pipeline.outputs.folder import OutputNames, output_folder
+from pipeline.outputs.map_sample import MapSample, is_sampled
+from pipeline.outputs.modes import PointScores, check_mode
+from pipeline.outputs.reading import row_columns
+from pipeline.outputs.run_report import RunReport
+from pipeline.outputs.writing import CleanedMap, make_places, write_maps
+from pipeline.places import NOWHERE, DecisionSums
+from pipeline.plan.machine import available_cores
+from pipeline.progress import StageObserver
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
+from pipeline.report_page.page import Views
+from pipeline.run import write_account
+from pipeline.tiles.thresholds import Cut, find_cuts
+from pipeline.units import open_collection
+from pipeline.work.files import make_rows, open_rows
+from pipeline.work.map_state import unchanged
+from tiling.collection import MapCollection, content_hash
+
+_FREE = ("removal", "output", "execution")
+"""Sections that say nothing of what was computed."""
+
+_SLACK = 1e-3
+"""Metres around a place that is put back: its box is told in millimetres."""
+
+_ROWS_AT_A_TIME = 1 << 20
+
+_KINDS: dict[str, DTypeLike] = {
+    "label": np.uint8,
+    "cluster": np.int32,
+    "density": np.float64,
+    "score": np.float32,
+    "reason": np.uint8,
+}
+
+
+def decide_again(
+    folder: Path,
+    output: Path | None,
+    settings: Sequence[str],
+    protect: Sequence[Area],
+    restore: Sequence[int],
+    observer: StageObserver,
+) -> RunReport:
+    """Split the map of a finished run anew, and write all its results again.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's output folder.
+    output : Path or None
+        Where the results go; in place of the run's own by default.
+    settings : sequence of str
+        As `--set` takes them, of the sections `removal`, `output` and `execution`.
+    protect : sequence of Area
+        Where nothing is removed, beside those of the run.
+    restore : sequence of int
+        Numbers of places of the run's report that are put back.
+    observer : StageObserver
+
+    Raises
+    ------
+    ConfigurationError
+        When a setting or a number is not one that can be applied.
+    OutputError
+        When the folder holds no result with all scores.
+    InputChangedError
+        When the map is not the one that was cleaned.
+    """
+    report = _report_of(folder)
+    configuration = _configured(folder, report, settings, [*protect, *_boxes(report, restore)])
+    paths = [Path(file.path) for file in report.files]
+    cores = available_cores(configuration.execution.workers)
+    collection = open_collection(paths, configuration.input, cores)
+    check_mode(collection.readers, configuration)
+    names = OutputNames.of(collection.readers, configuration.output.mode)
+    results = names.all_files(True, configuration.output.report == "html")
+    with output_folder(output or folder, results, paths) as staging, unchanged(paths):
+        observer.stage("hashing", collection.point_count)
+        if content_hash(paths) != report.input_hash:
+            raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+        kept = _Kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
+        cleaned = _Decision(collection, configuration, report, kept, observer).made()
+        places = make_places(names, staging)
+        scores = PointScores(
+            kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
+        )
+        write_maps(collection, configuration.output, kept["label"], scores, places, observer)
+        made = write_account(
+            output or folder,
+            collection,
+            report.input_hash,
+            configuration,
+            cleaned,
+            names,
+            staging,
+            observer,
+        )
+        shutil.rmtree(staging / "rows")
+    return made
+
+
+def _report_of(folder: Path) -> RunReport:
+    try:
+        report = RunReport.model_validate(json.loads((folder / RUN_FILE).read_text("utf-8")))
+    except (OSError, ValueError):
+        raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
+    if LABELS_FILE not in report.outputs:
+        raise OutputError(
+            f"{folder}: expected {LABELS_FILE}, which keeps the scores, found none; run again with "
+            "--labels"
+        )
+    return report
+
+
+def _configured(
+    folder: Path, report: RunReport, settings: Sequence[str], areas: Sequence[Area]
+) -> Configuration:
+    """Return the run's configuration with what is decided anew."""
+    own = load_configuration(str(folder / CONFIGURATION_FILE))
+    given = load_configuration(str(folder / CONFIGURATION_FILE), settings)
+    every = [*given.removal.protect, *areas]
+    wanted = [*settings, "output.labels=true"]
+    wanted.append("removal.protect=" + json.dumps([area.model_dump() for area in every]))
+    given = load_configuration(str(folder / CONFIGURATION_FILE), wanted)
+    for section in type(own).model_fields:
+        if section not in _FREE and getattr(own, section) != getattr(given, section):
+            raise ConfigurationError(
+                f"{section}: expected settings of {', '.join(_FREE)}, as what else is set decides "
+                "what is computed; run again"
+            )
+    if given.removal.weighs_evidence and not own.removal.weighs_evidence:
+        raise ConfigurationError(
+            "removal.decision: the run weighed no evidence; run again with -c auto"
+        )
+    if given.removal.protect_classes and not all("LA" in file.format for file in report.files):
+        raise ConfigurationError("removal.protect_classes expects a LAS map with classes")
+    return given
+
+
+def _boxes(report: RunReport, numbers: Sequence[int]) -> Iterator[Area]:
+    """Return the boxes of places."""
+    places = {place.number: place for place in report.places}
+    for number in numbers:
+        if number not in places:
+            listed = f"1 to {len(places)}" if places else "none"
+            raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
+        low, high = np.array(places[number].low) - _SLACK, np.array(places[number].high) + _SLACK
+        yield Area.box(low.tolist(), high.tolist())
+
+
+class _Kept:
+    """What a run kept of each point, in files of one value a row."""
+
+    def __init__(self, table: Path, folder: Path, count: int) -> None:
+        folder.mkdir()
+        self._rows: dict[str, NDArray[Any]] = {}
+        for name, kind in _KINDS.items():
+            make_rows(folder / name, count, kind, 0)
+            self._rows[name] = open_rows(folder / name, kind, "r+")
+        first = 0
+        for columns in row_columns(table, tuple(_KINDS)):
+            stop = first + len(columns["label"])
+            if stop > count:
+                break
+            for name, values in columns.items():
+                self._rows[name][first:stop] = values
+            first = stop
+        if first != count:
+            raise OutputError(f"{table}: expected {count} labels, found others; run again")
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._rows[name]
+
+
+class _ScoredRows:
+    """Consecutive rows as `find_cuts` looks at them."""
+
+    def __init__(self, kept: _Kept, rows: slice) -> None:
+        self._cluster, self._density = kept["cluster"][rows], kept["density"][rows]
+        self._first = rows.start
+
+    def densities(self, cluster: int) -> NDArray[np.float64]:
+        """Return the densities of its points in a cluster."""
+        return np.asarray(self._density[self._cluster == cluster])
+
+    def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
+        """Return the row numbers of its points in a cluster that have just this density."""
+        tied = (self._cluster == cluster) & (self._density == density)
+        return np.asarray(np.flatnonzero(tied) + self._first)
+
+
+class _Decision:
+    """One look at all points: which go, what the report shows, and the places."""
+
+    def __init__(
+        self,
+        collection: MapCollection,
+        configuration: Configuration,
+        report: RunReport,
+        kept: _Kept,
+        observer: StageObserver,
+    ) -> None:
+        self._collection, self._configuration = collection, configuration
+        self._report, self._kept, self._observer = report, kept, observer
+        # Of one model a tile some numbers are of no cluster.
+        self._counts = [0] * (1 + max((each.index for each in report.clusters), default=-1))
+        for each in report.clusters:
+            self._counts[each.index] = each.count
+        self._sums: list[DecisionSums] = []
+        self._shown: list[MapSample] = []
+
+    def made(self) -> CleanedMap:
+        """Decide, and return what became of the points."""
+        configuration, kept = self._configuration, self._kept
+        removal, counts = configuration.removal, self._counts
+        percentages, cuts = self._percentages(), self._cuts()
+        removed = np.zeros(len(counts), np.int64)
+        found = np.zeros(len(Label), np.int64)
+        self._observer.stage("deciding", self._collection.point_count)
+        for _, batch in self._collection.batches():
+            rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
+            safe = marks(batch, configuration) == PROTECTED
+            labels, cluster = kept["label"][rows], kept["cluster"][rows]
+            dynamic = self._dynamic(rows, cuts) & ~safe
+            labels[labels == Label.DYNAMIC] = Label.STATIC
+            labels[dynamic] = Label.DYNAMIC
+            found += np.bincount(labels, minlength=len(Label))
+            removed += np.bincount(cluster[dynamic], minlength=len(counts))
+            self._take(batch.xyz, rows, safe)
+            self._observer.advance(len(batch.xyz))
+        clusters = tuple(
+            ClusterSummary(
+                each.index,
+                each.centroid,
+                each.count,
+                float(percentages[each.index]),
+                cuts[each.index].density,
+                int(removed[each.index]),
+            )
+            for each in self._report.clusters
+        )
+        decision, views = None, None
+        if removal.weighs_evidence:
+            decision = DecisionSums.merged(self._sums).decision()
+        if configuration.output.report == "html":
+            sample = MapSample.of_parts(self._collection.point_count, self._shown)
+            views = partial(Views.of, sample, clusters, removal, decision)
+        titles = {label.title: int(found[label]) for label in Label}
+        return CleanedMap(
+            kept["label"],
+            kept["cluster"],
+            kept["density"],
+            kept["score"],
+            kept["reason"],
+            titles,
+            clusters,
+            decision,
+            views,
+        )
+
+    def _percentages(self) -> Sequence[Fraction]:
+        removal, k = self._configuration.removal, self._configuration.neighbours.k
+        return removal_percentages(self._counts, removal.min_percent, removal.max_percent, k)
+
+    def _cuts(self) -> list[Cut]:
+        """Find where each cluster is cut, by the clusters' own numbers."""
+        if self._configuration.removal.weighs_evidence:
+            return [Cut(None)] * len(self._counts)
+        total = self._collection.point_count
+        self._observer.stage("rescale", total)
+        tiles = [
+            _ScoredRows(self._kept, slice(start, start + _ROWS_AT_A_TIME))
+            for start in range(0, total, _ROWS_AT_A_TIME)
+        ]
+        threshold = self._configuration.removal.threshold
+        return find_cuts(tiles, self._counts, self._percentages(), threshold)
+
+    def _dynamic(self, rows: slice, cuts: Sequence[Cut]) -> NDArray[np.bool_]:
+        removal, kept = self._configuration.removal, self._kept
+        if removal.weighs_evidence:
+            return remove_likely(kept["score"][rows], removal.confidence).dynamic
+        cluster, density = kept["cluster"][rows], kept["density"][rows]
+        dynamic = np.zeros(len(cluster), np.bool_)
+        for index, cut in enumerate(cuts):
+            members = np.flatnonzero(cluster == index)
+            dynamic[members] = cut.dynamic(density[members], members + rows.start)
+        return dynamic
+
+    def _take(self, xyz: NDArray[np.float64], rows: slice, safe: NDArray[np.bool_]) -> None:
+        """Take over what the report shows of some points, and what it says of places."""
+        removal, kept = self._configuration.removal, self._kept
+        label, cluster, density, score, reason = (kept[name][rows] for name in _KINDS)
+        if removal.weighs_evidence:
+            scores = np.where(safe, np.float32(np.nan), score)
+            sums = DecisionSums.of(xyz, scores, reason, removal.confidence, NOWHERE)
+            self._sums = [DecisionSums.merged([*self._sums, sums])]
+        if self._configuration.output.report == "html":
+            own = np.arange(rows.start, rows.stop)
+            chosen = np.flatnonzero(is_sampled(own, self._collection.point_count))
+            apart = (label == Label.UNSCORED) & (cluster == NO_CLUSTER)
+            labels = np.where(apart, np.uint8(Label.INVALID), label)
+            sample = MapSample(
+                self._collection.point_count,
+                own[chosen],
+                xyz[chosen],
+                labels[chosen],
+                cluster[chosen],
+                density[chosen],
+                score[chosen],
+            )
+            self._shown.append(sample)
