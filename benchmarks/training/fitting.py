@@ -176,9 +176,7 @@ def _one_fold(
 
 def fit_first(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms) -> Stored:
     """Fit a first round, and return what the data file holds of it."""
-    model = boosted(
-        Lesson.joined(lessons), asked.first, options.first_trees, options.first_leaves
-    )
+    model = boosted(Lesson.joined(lessons), asked.first, options.first_trees, options.first_leaves)
     return stored(model, asked.first)
 
 
