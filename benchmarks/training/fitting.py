@@ -12,12 +12,11 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.model import FIRST_ODDS, KEPT_TERMS, SECOND_TERMS
+from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms
 from dynahull.evidence.pooling import pooled_terms
 from dynahull.evidence.summaries import summarise_odds
-from dynahull.evidence.terms import FALLING, RISING, TERMS
+from dynahull.evidence.terms import FALLING, RISING
 
-_KEPT = np.array([TERMS.index(name) for name in KEPT_TERMS])
 _BATCH = 100_000
 
 FOLDS = (
@@ -113,6 +112,7 @@ class Training:
         For the second round.
     odds : list of (n,) float32 arrays
         What the first round that has not seen its kind makes of each map.
+    asked : AskedTerms
     """
 
     maps: Sequence[TrainingMap]
@@ -120,19 +120,29 @@ class Training:
     lessons: list[Lesson]
     second: list[Lesson]
     odds: list[NDArray[np.float32]]
+    asked: AskedTerms
 
 
-def train(maps: Sequence[TrainingMap], options: FitOptions, workers: int) -> Training:
+def train(
+    maps: Sequence[TrainingMap],
+    options: FitOptions,
+    workers: int,
+    asked: AskedTerms = MAP_ONLY,
+) -> Training:
     """Fit a first round without each fold, and let it judge that fold."""
     samples = [
         Sample.of(each.truth, options.points, np.random.default_rng(number))
         for number, each in enumerate(maps)
     ]
     lessons = [
-        Lesson(each.terms[sample.rows], each.truth[sample.rows] == MOVED, sample.weights)
+        Lesson(
+            each.terms[sample.rows, : len(asked.first)],
+            each.truth[sample.rows] == MOVED,
+            sample.weights,
+        )
         for each, sample in zip(maps, samples, strict=True)
     ]
-    tasks = [(maps, samples, lessons, fold, options) for fold in range(len(FOLDS))]
+    tasks = [(maps, samples, lessons, fold, options, asked) for fold in range(len(FOLDS))]
     with ThreadPoolExecutor(workers) as pool:
         done = list(pool.map(_one_fold, tasks))
     judged = {number: found for _, of_fold in done for number, found in of_fold.items()}
@@ -143,30 +153,31 @@ def train(maps: Sequence[TrainingMap], options: FitOptions, workers: int) -> Tra
         lessons,
         [judged[number][0] for number in numbers],
         [judged[number][1] for number in numbers],
+        asked,
     )
 
 
 def _one_fold(
-    task: tuple[Sequence[TrainingMap], list[Sample], list[Lesson], int, FitOptions],
+    task: tuple[Sequence[TrainingMap], list[Sample], list[Lesson], int, FitOptions, AskedTerms],
 ) -> tuple[Stored, dict[int, tuple[Lesson, NDArray[np.float32]]]]:
-    maps, samples, lessons, fold, options = task
+    maps, samples, lessons, fold, options, asked = task
     others = [lessons[n] for n, each in enumerate(maps) if fold_of(each) != fold]
-    first = fit_first(others or lessons, options)
+    first = fit_first(others or lessons, options, asked)
     forest = Forest.of(first)
     found = {}
     for number, each in enumerate(maps):
         if fold_of(each) == fold:
             rows, lesson = samples[number].rows, lessons[number]
             odds = first_odds(forest, each)
-            terms = second_terms(each, odds)[rows]
+            terms = second_terms(each, odds, asked)[rows]
             found[number] = Lesson(terms, lesson.moved, lesson.weights), odds
     return first, found
 
 
-def fit_first(lessons: Sequence[Lesson], options: FitOptions) -> Stored:
+def fit_first(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms) -> Stored:
     """Fit a first round, and return what the data file holds of it."""
-    joined = Lesson.joined(lessons)
-    return stored(boosted(joined, TERMS, options.first_trees, options.first_leaves), TERMS)
+    model = boosted(Lesson.joined(lessons), asked.first, options.first_trees, options.first_leaves)
+    return stored(model, asked.first)
 
 
 def fit_seconds(training: Training, options: FitOptions, workers: int) -> list[Stored]:
@@ -176,7 +187,7 @@ def fit_seconds(training: Training, options: FitOptions, workers: int) -> list[S
     def fit(fold: int) -> Stored:
         paired = zip(training.second, folds, strict=True)
         others = [lesson for lesson, left_out in paired if left_out != fold]
-        return fit_second(others or training.second, options)
+        return fit_second(others or training.second, options, training.asked)
 
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(fit, range(len(FOLDS))))
@@ -198,24 +209,28 @@ def averaged(models: Sequence[Stored]) -> Stored:
     }
 
 
-def fit_second(lessons: Sequence[Lesson], options: FitOptions) -> Stored:
+def fit_second(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms) -> Stored:
     """Fit a second round, and return what the data file holds of it."""
-    joined = Lesson.joined(lessons)
-    model = boosted(joined, SECOND_TERMS, options.second_trees, options.second_leaves)
-    return stored(model, SECOND_TERMS)
+    model = boosted(
+        Lesson.joined(lessons), asked.second, options.second_trees, options.second_leaves
+    )
+    return stored(model, asked.second)
 
 
 def first_odds(forest: Forest, each: TrainingMap) -> NDArray[np.float32]:
     """Return what a first round makes of a map."""
     begins = range(0, len(each.terms), _BATCH)
-    parts = [np.ascontiguousarray(each.terms[begin : begin + _BATCH]) for begin in begins]
+    own = slice(0, len(forest.terms))
+    parts = [np.ascontiguousarray(each.terms[begin : begin + _BATCH, own]) for begin in begins]
     return np.concatenate([forest.log_odds(part) for part in parts])
 
 
-def second_terms(each: TrainingMap, odds: NDArray[np.float32]) -> NDArray[np.float32]:
+def second_terms(
+    each: TrainingMap, odds: NDArray[np.float32], asked: AskedTerms
+) -> NDArray[np.float32]:
     """Return the terms of the second round of all points."""
     pooled = pooled_terms(each.xyz, summarise_odds(each.xyz, odds))
-    return np.column_stack([odds, pooled, each.terms[:, _KEPT]])
+    return np.column_stack([odds, pooled, each.terms[:, asked.kept]])
 
 
 def boosted(

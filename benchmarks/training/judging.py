@@ -18,7 +18,6 @@ from benchmarks.training.fitting import (
 )
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.terms import TERMS
 
 _EDGES = np.array([0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 _STEPS = 200
@@ -99,7 +98,7 @@ def judge(training: Training, seconds: Sequence[Stored], workers: int) -> list[J
     def of_fold(fold: int) -> list[Judged]:
         forest = Forest.of(seconds[fold])
         return [
-            Judged.of(each, forest.log_odds(second_terms(each, odds)))
+            Judged.of(each, forest.log_odds(second_terms(each, odds, training.asked)))
             for each, odds, left_out in zip(training.maps, training.odds, folds, strict=True)
             if left_out == fold
         ]
@@ -194,7 +193,7 @@ def ablation(training: Training, workers: int) -> Iterator[str]:
     whole = [_f1(forest, lesson, lesson.terms, workers) for forest, lesson in present]
     random = np.random.default_rng(0)
     rows = []
-    for number, name in enumerate(TERMS):
+    for number, name in enumerate(training.asked.first):
         earned = []
         for (forest, lesson), full in zip(present, whole, strict=True):
             shuffled = lesson.terms.copy()

@@ -3,9 +3,10 @@
 import json
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from dynahull.density import SPREAD_COLUMNS, cluster_densities
 from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
-from dynahull.evidence.terms import TERMS, evidence
+from dynahull.evidence.terms import TERMS, TIMED_TERMS, evidence
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
@@ -54,8 +55,8 @@ class TrainingMap:
         Of the points that are scored.
     truth : (n,) int8 array
         `UNKNOWN`, `STATIC` or `MOVED`.
-    terms : (n, len(TERMS)) float32 array
-        Read from its file as it is asked for.
+    terms : (n, len(TERMS)) or (n, len(TIMED_TERMS)) float32 array
+        Read from its file as it is asked for; the latter where the scans are known.
     unscored_static, unscored_moved : int
         Points that no decision can take: ground.
     """
@@ -85,12 +86,11 @@ def _make(folder: Path, seed: int) -> list[str]:
         return list(json.loads(done.read_text(encoding="utf-8")))
     random = np.random.default_rng(seed)
     made = _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
-    xyz, truth = _window(made.xyz, made.truth, random)
-    variants = {"a": (xyz, truth), "b": _variant(xyz, truth, made.downsampled, random)}
+    whole = _window(made, random)
     names = []
-    for letter, (points, labels) in variants.items():
+    for letter, variant in {"a": whole, "b": _variant(whole, random)}.items():
         name = f"{seed:05d}{letter}"
-        if _measure(folder / name, points, labels, made.kind, made.sensor):
+        if _measure(folder / name, variant):
             names.append(name)
     done.write_text(json.dumps(names), encoding="utf-8")
     return names
@@ -98,22 +98,28 @@ def _make(folder: Path, seed: int) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A simulated map."""
+    """A simulated map; `scan` is None where a voxel filter mixed the scans."""
 
     xyz: NDArray[np.float64]
     truth: NDArray[np.int8]
+    scan: NDArray[np.int32] | None
     kind: str
     sensor: str
-    downsampled: bool
 
 
 def _meshes(seed: int) -> _Made:
     parameters = random_parameters(seed)
     points = simulate_meshes(parameters).points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
-    return _Made(
-        points.xyz, truth, str(parameters.kind), str(parameters.sensor), parameters.voxel > 0
-    )
+    scan = _scan_numbers(seed, points.scan, points.time) if parameters.voxel == 0 else None
+    return _Made(points.xyz, truth, scan, str(parameters.kind), str(parameters.sensor))
+
+
+def _scan_numbers(
+    seed: int, scan: NDArray[np.integer[Any]], time: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Return the numbers of the scans, or what a map with times would have in their place."""
+    return (scan if seed % 2 else np.floor(time / 0.1)).astype(np.int32)
 
 
 def _boxes(seed: int, random: np.random.Generator) -> _Made:
@@ -137,19 +143,19 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
         )
     )
     truth = np.where(made.moving, MOVED, STATIC).astype(np.int8)
-    return _Made(made.xyz.astype(np.float64), truth, f"boxes_{kind}", "boxes", False)
+    scan = _scan_numbers(seed, made.scan, made.time)
+    return _Made(made.xyz.astype(np.float64), truth, scan, f"boxes_{kind}", "boxes")
 
 
-def _window(
-    xyz: NDArray[np.float64], truth: NDArray[np.int8], random: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+def _window(made: _Made, random: np.random.Generator) -> _Made:
     """Return the points about one of them, in a square that holds as many as are wanted.
 
     The one has moved more often than not, as most windows would hold nothing that did. Where most
     of a window moved, another is tried.
     """
+    xyz, truth = made.xyz, made.truth
     if len(xyz) <= _LARGEST:
-        return xyz, truth
+        return made
     for _ in range(_TRIES):
         seek = random.random() < _SEEK_MOVED
         among = np.flatnonzero(truth == MOVED) if seek else np.zeros(0, np.intp)
@@ -162,22 +168,28 @@ def _window(
         if np.mean(truth[inside] == MOVED) < _MOST_MOVED:
             break
     rim = away[inside] > max(half - _RIM, 0.7 * half)
-    return xyz[inside], np.where(rim, np.int8(UNKNOWN), truth[inside])
+    within = np.where(rim, np.int8(UNKNOWN), truth[inside])
+    return _of(made, xyz[inside], within, inside)
 
 
-def _variant(
-    xyz: NDArray[np.float64],
-    truth: NDArray[np.int8],
-    downsampled: bool,
-    random: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+def _of(
+    made: _Made, xyz: NDArray[np.float64], truth: NDArray[np.int8], rows: NDArray[Any]
+) -> _Made:
+    scan = None if made.scan is None else made.scan[rows]
+    return replace(made, xyz=xyz, truth=truth, scan=scan)
+
+
+def _variant(made: _Made, random: np.random.Generator) -> _Made:
     """Return the map as a voxel filter would leave it, or thinned, often with more noise."""
+    xyz, truth = made.xyz, made.truth
     chance = random.random()
-    if chance < 0.35 and not downsampled:
-        return _voxel_filter(xyz, truth, float(random.choice([0.03, 0.05, 0.05, 0.1])))
+    if chance < 0.35 and made.scan is not None:
+        xyz, truth = _voxel_filter(xyz, truth, float(random.choice([0.03, 0.05, 0.05, 0.1])))
+        return replace(made, xyz=xyz, truth=truth, scan=None)
     keep = random.random(len(xyz)) < random.uniform(0.15, 0.6)
     noise = random.uniform(0.005, 0.025) if chance < 0.7 else 0.0
-    return xyz[keep] + random.normal(size=(int(keep.sum()), 3)) * noise, truth[keep]
+    noisy = xyz[keep] + random.normal(size=(int(keep.sum()), 3)) * noise
+    return _of(made, noisy, truth[keep], keep)
 
 
 def _voxel_filter(
@@ -193,21 +205,22 @@ def _voxel_filter(
     return means, np.argmax(shares, axis=0).astype(np.int8)
 
 
-def _measure(
-    path: Path, xyz: NDArray[np.float64], truth: NDArray[np.int8], kind: str, sensor: str
-) -> bool:
+def _measure(path: Path, made: _Made) -> bool:
     """Measure the terms of a map as `clean` does, and keep them."""
-    xyz = np.ascontiguousarray(xyz)
+    xyz, truth, scan = np.ascontiguousarray(made.xyz), made.truth, made.scan
     parameters = MethodParameters.of({"removal": {"decision": "auto"}})
     points, rows = _scored(xyz, parameters)
     if len(points) < _FEWEST:
         return False
-    unscored = np.ones(len(xyz), np.bool_)
-    unscored[rows] = False
-    voxels = Voxels.merged([summarise_points(points), summarise_ground(xyz[unscored])])
-    surroundings = Surroundings.of(voxels)
+    aside = np.ones(len(xyz), np.bool_)
+    aside[rows] = False
+    if scan is not None:
+        points = replace(points, scan=scan[rows])
+    ground = summarise_ground(xyz[aside], None if scan is None else scan[aside])
+    surroundings = Surroundings.of(Voxels.merged([summarise_points(points), ground]))
+    count = len(TERMS if scan is None else TIMED_TERMS)
     terms = np.lib.format.open_memmap(
-        path.with_suffix(".terms.npy"), "w+", np.float32, (len(points), len(TERMS))
+        path.with_suffix(".terms.npy"), "w+", np.float32, (len(points), count)
     )
     for begin in range(0, len(points), _BATCH):
         part = points.part(slice(begin, begin + _BATCH))
@@ -216,8 +229,8 @@ def _measure(
         path.with_suffix(".npz"),
         xyz=points.xyz,
         truth=truth[rows],
-        names=np.array([kind, sensor]),
-        unscored=[np.count_nonzero(truth[unscored] == label) for label in (STATIC, MOVED)],
+        names=np.array([made.kind, made.sensor]),
+        unscored=[np.count_nonzero(truth[aside] == label) for label in (STATIC, MOVED)],
     )
     return True
 

@@ -32,16 +32,19 @@ class Voxels:
         Voxel (i, j, k) holds the points with i <= x / side < i + 1, and so on.
     sums : (V, C) int64 array
         Integers, so that no order of adding them changes a bit.
+    marks : int
+        How many of the last columns are sets of bits: these are united, not added.
     """
 
     cells: Cells
     sums: Integers
+    marks: int = 0
 
     def __len__(self) -> int:
         return len(self.cells)
 
     @classmethod
-    def of(cls, cells: Cells, values: Integers) -> Self:
+    def of(cls, cells: Cells, values: Integers, marks: int = 0) -> Self:
         """Add up values by cell.
 
         Parameters
@@ -49,9 +52,10 @@ class Voxels:
         cells : (n, 3) int32 array
             In any order; a cell may come many times.
         values : (n, C) int64 array
+        marks : int, optional
         """
         numbers, firsts = number_cells(cells)
-        return cls(cells[firsts], added(values, numbers, len(firsts)))
+        return cls(cells[firsts], added(values, numbers, len(firsts), marks), marks)
 
     @classmethod
     def merged(cls, parts: Sequence[Self]) -> Self:
@@ -59,13 +63,14 @@ class Voxels:
         return cls.of(
             np.concatenate([part.cells for part in parts]),
             np.concatenate([part.sums for part in parts]),
+            parts[0].marks,
         )
 
     def within(self, low: Integers, high: Integers) -> Self:
         """Return the voxels with low <= (i, j) <= high; both are (2,) arrays."""
         flat = self.cells[:, :2]
         inside = ((flat >= low) & (flat <= high)).all(axis=1)
-        return type(self)(self.cells[inside], self.sums[inside])
+        return type(self)(self.cells[inside], self.sums[inside], self.marks)
 
     @cached_property
     def table(self) -> npt.NDArray[np.int32]:
@@ -75,12 +80,12 @@ class Voxels:
     def coarser(self) -> tuple[Self, npt.NDArray[np.int32]]:
         """Return the voxels of twice the side, and in which of them each of these lies."""
         numbers, firsts = number_cells(self.cells >> 1)
-        sums = added(self.sums, numbers, len(firsts))
-        return type(self)(self.cells[firsts] >> 1, sums), numbers
+        sums = added(self.sums, numbers, len(firsts), self.marks)
+        return type(self)(self.cells[firsts] >> 1, sums, self.marks), numbers
 
     def around(self) -> Integers:
         """Return the sums over the 3 x 3 x 3 voxels about each voxel, (V, C)."""
-        return _sums_around(self.cells, self.sums, self.cells, self.table)
+        return _sums_around(self.cells, self.sums, self.cells, self.table, self.marks)
 
     def connected(self) -> npt.NDArray[np.intp]:
         """Return the group of each voxel, (V,): those that touch, by a corner at least, are one."""
@@ -144,12 +149,15 @@ def number_cells(cells: Cells) -> tuple[npt.NDArray[np.int32], Integers]:
 
 
 @compiled
-def added(values: Integers, numbers: npt.NDArray[np.int32], count: int) -> Integers:
-    """Add up rows of values by number, (count, C)."""
+def added(values: Integers, numbers: npt.NDArray[np.int32], count: int, marks: int) -> Integers:
+    """Add up rows of values by number, and unite the bits of the last columns, (count, C)."""
     sums = np.zeros((count, values.shape[1]), np.int64)
+    added = values.shape[1] - marks
     for i in range(len(values)):
-        for column in range(values.shape[1]):
+        for column in range(added):
             sums[numbers[i], column] += values[i, column]
+        for column in range(added, values.shape[1]):
+            sums[numbers[i], column] |= values[i, column]
     return sums
 
 
@@ -189,9 +197,10 @@ def find_cell(i: int, j: int, k: int, cells: Cells, table: npt.NDArray[np.int32]
 
 @compiled
 def _sums_around(
-    centres: Cells, sums: Integers, cells: Cells, table: npt.NDArray[np.int32]
+    centres: Cells, sums: Integers, cells: Cells, table: npt.NDArray[np.int32], marks: int
 ) -> Integers:
     around = np.zeros((len(centres), sums.shape[1]), np.int64)
+    added = sums.shape[1] - marks
     for centre in range(len(centres)):
         i, j, k = centres[centre, 0], centres[centre, 1], centres[centre, 2]
         for di in range(-1, 2):
@@ -199,8 +208,10 @@ def _sums_around(
                 for dk in range(-1, 2):
                     number = find_cell(i + di, j + dj, k + dk, cells, table)
                     if number >= 0:
-                        for column in range(sums.shape[1]):
+                        for column in range(added):
                             around[centre, column] += sums[number, column]
+                        for column in range(added, sums.shape[1]):
+                            around[centre, column] |= sums[number, column]
     return around
 
 

@@ -27,7 +27,8 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings, Terms
-from dynahull.evidence.terms import TERMS, evidence
+from dynahull.evidence.terms import TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.visits import Scans
 from dynahull.threads import over_ranges
 
 FIRST_ODDS = "first"
@@ -56,9 +57,45 @@ KEPT_TERMS = (
 )
 """Terms of the first round that the second looks at again."""
 
-SECOND_TERMS = (FIRST_ODDS, *POOLED_TERMS, *KEPT_TERMS)
+TIMED_KEPT_TERMS = (
+    *KEPT_TERMS,
+    "scans_1_0.3",
+    "scans_8_0.3",
+    "scans_1_1.2",
+    "scans_8_1.2",
+    "scans_1_4.8",
+    "scans_8_4.8",
+)
+"""The same, of a map whose scans are known."""
 
-_KEPT = np.array([TERMS.index(name) for name in KEPT_TERMS])
+
+@dataclass(frozen=True, slots=True)
+class AskedTerms:
+    """What the two rounds are told.
+
+    Attributes
+    ----------
+    first, second : tuple of str
+    """
+
+    first: tuple[str, ...]
+    second: tuple[str, ...]
+
+    @classmethod
+    def of(cls, first: tuple[str, ...], kept: tuple[str, ...]) -> Self:
+        """Let the second round look at some terms of the first again."""
+        return cls(first, (FIRST_ODDS, *POOLED_TERMS, *kept))
+
+    @property
+    def kept(self) -> npt.NDArray[np.intp]:
+        """Which terms of the first round the second looks at again."""
+        return np.array([self.first.index(name) for name in self.second[1 + len(POOLED_TERMS) :]])
+
+
+MAP_ONLY = AskedTerms.of(TERMS, KEPT_TERMS)
+TIMED = AskedTerms.of(TIMED_TERMS, TIMED_KEPT_TERMS)
+"""What is asked of a map whose scans are known."""
+
 _BATCH = 50_000
 """Points whose terms are held at a time."""
 
@@ -70,7 +107,7 @@ class FirstRound:
     Attributes
     ----------
     log_odds : (n,) float32 array
-    kept : (n, len(KEPT_TERMS)) float32 array
+    kept : (n, len(KEPT_TERMS)) or (n, len(TIMED_KEPT_TERMS)) float32 array
         What the second round looks at again.
     reason : (n,) uint8 array
         Which of `reasons.REASONS` speaks most for a ghost.
@@ -81,11 +118,11 @@ class FirstRound:
     reason: npt.NDArray[np.uint8]
 
     @classmethod
-    def nothing(cls, count: int) -> Self:
+    def nothing(cls, count: int, kept: int) -> Self:
         """Return room for what is made of some points."""
         return cls(
             np.empty(count, np.float32),
-            np.empty((count, len(KEPT_TERMS)), np.float32),
+            np.empty((count, kept), np.float32),
             np.empty(count, np.uint8),
         )
 
@@ -102,11 +139,16 @@ class EvidenceModel:
     Attributes
     ----------
     first, second : Forest
-        Over `TERMS` and over `SECOND_TERMS`.
+        Over the terms of `MAP_ONLY` or of `TIMED`.
     """
 
     first: Forest
     second: Forest
+
+    @property
+    def asked(self) -> AskedTerms:
+        """What the rounds are told."""
+        return AskedTerms(self.first.terms, self.second.terms)
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Self:
@@ -118,11 +160,12 @@ class EvidenceModel:
             When it asks for terms that there are not.
         """
         first, second = Forest.of(stored["first"]), Forest.of(stored["second"])
-        if first.terms != TERMS or second.terms != SECOND_TERMS:
+        model = cls(first, second)
+        if model.asked not in (MAP_ONLY, TIMED):
             raise InvalidParametersError(
                 "evidence model: expected the terms of this version, found others"
             )
-        return cls(first, second)
+        return model
 
     def first_round(
         self, points: ScoredPoints, k: int, surroundings: Surroundings, threads: int = 1
@@ -139,14 +182,15 @@ class EvidenceModel:
         threads : int
             They change nothing about the result.
         """
-        found = FirstRound.nothing(len(points))
+        kept = self.asked.kept
+        found = FirstRound.nothing(len(points), len(kept))
 
         def judge(begin: int, end: int) -> None:
             own = slice(begin, end)
             terms = evidence(points.part(own), k, surroundings)
             log_odds = self.first.log_odds(terms)
             why = reasons(self.first, terms, log_odds)
-            found.put(own, FirstRound(log_odds, terms[:, _KEPT], why))
+            found.put(own, FirstRound(log_odds, terms[:, kept], why))
 
         over_ranges(judge, _bounds(len(points)), threads)
         return found
@@ -197,7 +241,13 @@ class Judged:
         return cls(np.full(count, np.nan, np.float32), np.full(count, NO_REASON, np.uint8))
 
 
-def judge_points(points: ScoredPoints, unscored: Floats, k: int, threads: int = 1) -> Judged:
+def judge_points(
+    points: ScoredPoints,
+    unscored: Floats,
+    k: int,
+    threads: int = 1,
+    unscored_scan: Scans | None = None,
+) -> Judged:
     """Judge all points of a map.
 
     Parameters
@@ -210,10 +260,12 @@ def judge_points(points: ScoredPoints, unscored: Floats, k: int, threads: int = 
         Neighbours of each point.
     threads : int
         They change nothing about the result.
+    unscored_scan : (m,) int32 array, optional
+        Their scans, if those of the points are known.
     """
-    model = evidence_model()
+    model = evidence_model(timed=points.scan is not None)
     surroundings = Surroundings.of(
-        Voxels.merged([summarise_points(points), summarise_ground(unscored)])
+        Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)])
     )
     found = model.first_round(points, k, surroundings, threads)
     del surroundings
@@ -251,10 +303,11 @@ def probabilities(log_odds: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return found
 
 
-@lru_cache(maxsize=1)
-def evidence_model() -> EvidenceModel:
-    """Return the model that comes with the package."""
-    file = files("dynahull.evidence").joinpath("model.json")
+@lru_cache(maxsize=2)
+def evidence_model(*, timed: bool = False) -> EvidenceModel:
+    """Return the model that comes with the package, for maps whose scans are known or not."""
+    name = "timed_model.json" if timed else "model.json"
+    file = files("dynahull.evidence").joinpath(name)
     return EvidenceModel.of(json.loads(file.read_text(encoding="utf-8")))
 
 

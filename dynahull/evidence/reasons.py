@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.terms import TERMS
+from dynahull.evidence.terms import TIMED_TERMS
 
 REASONS: dict[str, tuple[str, ...]] = {
     "no surface: its neighbours fill a volume": (
@@ -18,6 +18,7 @@ REASONS: dict[str, tuple[str, ...]] = {
     "stands free on the floor, at the height of people": ("height", "aloft", "over", "under"),
     "the floor beneath was seen through it": ("ground_seen", "ground_near"),
     "nothing close above or below": ("run", "gap", "filled"),
+    "seen by fewer scans than what is around": ("scans",),
 }  # fmt: skip
 """What is said, and the terms that say it: by name, or by the name without the side of a box."""
 
@@ -36,7 +37,7 @@ def _reason_of(term: str) -> int:
     raise ValueError(f"{term}: expected a reason, found none")
 
 
-_FAMILY = np.array([_reason_of(term) for term in TERMS], np.int32)
+_FAMILY = np.array([_reason_of(term) for term in TIMED_TERMS], np.int32)
 
 
 def reasons(
@@ -50,12 +51,12 @@ def reasons(
     Parameters
     ----------
     forest : Forest
-        Over `TERMS`.
-    terms : (n, len(TERMS)) float32 array
+        Over `TERMS` or `TIMED_TERMS`.
+    terms : (n, len(forest.terms)) float32 array
     log_odds : (n,) float32 array
     """
     found = np.full(len(terms), NO_REASON, np.uint8)
     chosen = np.flatnonzero(log_odds > CANDIDATE)
-    shares = forest.contributions(terms[chosen], _FAMILY, len(REASONS))
+    shares = forest.contributions(terms[chosen], _FAMILY[: len(forest.terms)], len(REASONS))
     found[chosen] = np.where(shares.max(axis=1, initial=0) > 0, shares.argmax(axis=1), NO_REASON)
     return found

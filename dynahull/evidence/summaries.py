@@ -7,8 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled
-from dynahull.evidence.lattice import Floats, Integers, Voxels, cells_of
+from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, cells_of
 from dynahull.evidence.shapes import MOMENTS, moments_of
+from dynahull.evidence.visits import SPANS, Scans, marks_of
 
 FINEST = 0.1
 """Side of the finest voxels, metres; each level above has twice the side."""
@@ -24,6 +25,7 @@ and thickness; the moments of the scored points follow."""
 
 SHAPE = 4
 COLUMNS = SHAPE + MOMENTS
+"""After them come the marks of scans, where scans are known."""
 
 OCTAVE = 256
 """Logarithms to base 2 are summed in whole steps, so many to an octave."""
@@ -48,12 +50,15 @@ class ScoredPoints:
         See `dynahull.density.reference_spreads`.
     height : (n,) float64 array
         Above the ground, metres; NaN where none is near.
+    scan : (n,) int32 array or None
+        Number of the scan that saw each; -1 where it is not known.
     """
 
     xyz: Floats
     density: Floats
     spread: npt.NDArray[np.float32]
     height: Floats
+    scan: Scans | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -61,7 +66,11 @@ class ScoredPoints:
     def part(self, chosen: slice | npt.NDArray[np.bool_]) -> Self:
         """Return some of the points."""
         return type(self)(
-            self.xyz[chosen], self.density[chosen], self.spread[chosen], self.height[chosen]
+            self.xyz[chosen],
+            self.density[chosen],
+            self.spread[chosen],
+            self.height[chosen],
+            None if self.scan is None else self.scan[chosen],
         )
 
     def log_density(self) -> Floats:
@@ -76,23 +85,29 @@ class ScoredPoints:
 
 
 def summarise_points(points: ScoredPoints) -> Voxels:
-    """Sum up scored points in the finest voxels, (V, COLUMNS)."""
+    """Sum up scored points in the finest voxels, (V, COLUMNS), and mark their scans."""
     values = np.empty((len(points), COLUMNS), np.int64)
     values[:, GROUND] = 0
     values[:, SCORED] = 1
     values[:, DENSITY] = in_steps(points.log_density())
     values[:, THICKNESS] = in_steps(points.log_thickness())
     values[:, SHAPE:] = moments_of(points.xyz)
-    return Voxels.of(cells_of(points.xyz, FINEST), values)
+    return _marked(cells_of(points.xyz, FINEST), values, points.scan)
 
 
-def summarise_ground(xyz: Floats) -> Voxels:
+def summarise_ground(xyz: Floats, scan: Scans | None = None) -> Voxels:
     """Sum up points that are not scored: ground, and what lies too high, (V, COLUMNS)."""
-    cells = cells_of(xyz, FINEST)
-    counted = Voxels.of(cells, np.ones((len(cells), 1), np.int64))
-    sums = np.zeros((len(counted), COLUMNS), np.int64)
+    counted = _marked(cells_of(xyz, FINEST), np.ones((len(xyz), 1), np.int64), scan)
+    sums = np.zeros((len(counted), COLUMNS + counted.marks), np.int64)
     sums[:, GROUND] = counted.sums[:, 0]
-    return Voxels(counted.cells, sums)
+    sums[:, COLUMNS:] = counted.sums[:, 1:]
+    return Voxels(counted.cells, sums, counted.marks)
+
+
+def _marked(cells: Cells, values: Integers, scan: Scans | None) -> Voxels:
+    if scan is None:
+        return Voxels.of(cells, values)
+    return Voxels.of(cells, np.column_stack([values, marks_of(scan)]), len(SPANS))
 
 
 LIKELY, ODDS = 1, 2

@@ -9,8 +9,9 @@ import numpy.typing as npt
 from dynahull.compilation import compiled
 from dynahull.evidence.lattice import Cells, Integers, Voxels, find_cell
 from dynahull.evidence.shapes import shapes_of
-from dynahull.evidence.summaries import FINEST, GROUND, LEVELS, SCORED
+from dynahull.evidence.summaries import COLUMNS, FINEST, GROUND, LEVELS, SCORED
 from dynahull.evidence.summaries import SHAPE as MOMENTS_BEGIN
+from dynahull.evidence.visits import scan_counts
 
 SHAPED_LEVELS = 3
 """The shape is read over boxes of 0.3, 0.6 and 1.2 m."""
@@ -23,6 +24,8 @@ EXTREME_LEVEL = 3
 
 COLUMN_TERMS = 6
 _STEPS = 16
+_OCCUPIED = COLUMNS
+"""Column that counts occupied voxels of the finest level; the marks of scans follow."""
 
 Terms = npt.NDArray[np.float32]
 
@@ -48,6 +51,8 @@ class Level:
         occupied; the same below.
     extremes : (V, 2) float32 array or None
         Least mean thickness and largest mean density of the voxels around.
+    scans : (V, len(SPANS)) float32 array or None
+        Logarithms of how many scans saw the box of 3 x 3 x 3 voxels.
     """
 
     cells: Cells
@@ -57,6 +62,7 @@ class Level:
     shape: Terms | None = None
     columns: Terms | None = None
     extremes: Terms | None = None
+    scans: Terms | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +80,8 @@ class Surroundings:
     def of(cls, voxels: Voxels) -> Self:
         """Read the sums over the finest voxels: see `summaries`."""
         occupied = (voxels.sums[:, SCORED] > 0).astype(np.int64)
-        here = Voxels(voxels.cells, np.column_stack([voxels.sums, occupied]))
+        columns = np.insert(voxels.sums, _OCCUPIED, occupied, axis=1)
+        here = Voxels(voxels.cells, columns, voxels.marks)
         del voxels  # the sums are most of what a map takes here
         sums = here.around()
         levels = []
@@ -96,6 +103,7 @@ class Surroundings:
                     _extremes(here.cells, here.sums, here.table)
                     if number == EXTREME_LEVEL
                     else None,
+                    scan_counts(sums[:, _OCCUPIED + 1 :]) if here.marks else None,
                 )
             )
             here, sums = coarser, further
@@ -106,17 +114,16 @@ class Surroundings:
 def _means(
     own: Integers, sums: Integers, further: Integers, parents: npt.NDArray[np.int32]
 ) -> Terms:
-    last = sums.shape[1] - 1
     means = np.full((len(sums), 5), np.nan, np.float32)
     for v in range(len(sums)):
         if own[v, 1] == 0:
             continue
-        count, occupied = sums[v, 1], sums[v, last]
+        count, occupied = sums[v, 1], sums[v, _OCCUPIED]
         means[v, 0] = sums[v, 2] / (256.0 * count)
         means[v, 1] = sums[v, 3] / (256.0 * count)
         means[v, 2] = np.log2(count / occupied)
         parent = parents[v]
-        means[v, 3] = np.log2(further[parent, last] / occupied)
+        means[v, 3] = np.log2(further[parent, _OCCUPIED] / occupied)
         means[v, 4] = np.log2(further[parent, 1] / count)
     return means
 

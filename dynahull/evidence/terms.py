@@ -8,6 +8,7 @@ from dynahull.evidence.floor import FLOOR_TERMS, floor_terms
 from dynahull.evidence.lattice import Cells, cells_of, find_cell
 from dynahull.evidence.summaries import FINEST, LEVELS, THINNEST, ScoredPoints
 from dynahull.evidence.surroundings import Surroundings, Terms
+from dynahull.evidence.visits import SPANS
 
 NEIGHBOURHOOD_TERMS = (
     "fill",
@@ -50,11 +51,31 @@ def _level_names() -> tuple[str, ...]:
 TERMS = (*NEIGHBOURHOOD_TERMS, *FLOOR_TERMS, *_level_names())
 """All terms, in the order of their columns."""
 
-RISING = ("thickness", "flatness", *(name for name in TERMS if name.startswith("box_flat")))
-"""Terms that never speak against a ghost as they grow: what is less flat."""
+SCAN_TERMS = tuple(f"scans_{span}_{box}" for box in BOXES for span in SPANS)
+"""Logarithms of how many scans saw the smallest box, by so many scans on end; and, for the larger
+boxes, of how many more saw them."""
 
-FALLING = ("aloft", *(name for name in TERMS if name.startswith("density_")))
-"""Terms that never speak for a ghost as they grow: what is denser, or higher above people."""
+TIMED_TERMS = (*TERMS, *SCAN_TERMS)
+"""All terms of a map whose scans are known."""
+
+_OWN_SCANS = len(SPANS)
+
+RISING = (
+    "thickness",
+    "flatness",
+    *(name for name in TERMS if name.startswith("box_flat")),
+    *SCAN_TERMS[_OWN_SCANS:],
+)
+"""Terms that never speak against a ghost as they grow: what is less flat, or seen less than what is
+around."""
+
+FALLING = (
+    "aloft",
+    *(name for name in TERMS if name.startswith("density_")),
+    *SCAN_TERMS[:_OWN_SCANS],
+)
+"""Terms that never speak for a ghost as they grow: what is denser, higher above people, or seen by
+more scans."""
 
 
 def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
@@ -70,13 +91,14 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
 
     Returns
     -------
-    (n, len(TERMS)) float32 array
+    (n, len(TERMS)) or (n, len(TIMED_TERMS)) float32 array
         NaN where there is nothing to tell.
     """
     log_density, log_thickness = points.log_density(), points.log_thickness()
     own = _neighbourhood_terms(points.spread, log_density, k)
     blocks = [own, floor_terms(points.xyz, points.height, own[:, 6], surroundings)]
     cells = cells_of(points.xyz, FINEST)
+    scans: list[Terms] = []
     for number, level in enumerate(surroundings.levels):
         at = places_of(cells >> number, level.cells, level.table)
         means = level.means.take(at, axis=0)
@@ -89,7 +111,10 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
         if level.extremes is not None:
             extremes = level.extremes.take(at, axis=0)
             blocks += [np.column_stack([log_thickness, log_density]) - extremes]
-    return np.concatenate(blocks, axis=1, dtype=np.float32)
+        if level.scans is not None:
+            seen = level.scans.take(at, axis=0)
+            scans += [seen - scans[0] if scans else seen]
+    return np.concatenate([*blocks, *scans], axis=1, dtype=np.float32)
 
 
 @compiled

@@ -1,6 +1,7 @@
 """The evidence: sums that do not depend on how a map is cut, and terms that follow from them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,8 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings
-from dynahull.evidence.terms import FALLING, RISING, TERMS, evidence
+from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.visits import SPANS, marks_of, scan_counts
 from dynahull.kernels import hull_densities
 
 K = 12
@@ -68,6 +70,45 @@ def test_voxels_of_parts_add_up_to_those_of_the_whole(points, cut):
     assert whole.sums.sum(axis=0).tolist() == values.sum(axis=0).tolist()
     for one, other in zip(cells_of(points, FINEST), points, strict=True):
         assert (np.floor(other / FINEST) == one).all()
+
+
+@given(arrays.arrays(np.int32, 60, elements=st.integers(-1, 500)), st.integers(0, 60))
+@settings(deadline=None)
+def test_marks_of_parts_are_united_to_those_of_the_whole(scan, cut):
+    cells = np.zeros((60, 3), np.int32)
+    cells[:, 0] = np.arange(60) % 3
+    values = np.column_stack([np.ones(60, np.int64), marks_of(scan)])
+    whole = Voxels.of(cells, values, len(SPANS))
+    parts = [Voxels.of(cells[own], values[own], len(SPANS)) for own in (slice(cut, 60), slice(cut))]
+    assert as_dictionary(Voxels.merged(parts)) == as_dictionary(whole)
+    coarser, _ = whole.coarser()
+    together = np.bitwise_or.reduce(values[:, 1:], axis=0).tolist()
+    assert np.bitwise_or.reduce(coarser.sums[:, 1:], axis=0).tolist() == together
+    middle = [tuple(cell) for cell in whole.cells.tolist()].index((1, 0, 0))
+    assert whole.around()[middle, 1:].tolist() == together
+
+
+@pytest.mark.parametrize("count", [1, 3, 10, 40, 100])
+def test_marks_tell_how_many_scans_there_were(count):
+    scan = np.arange(1_000, 1_000 + 7 * count, 7, dtype=np.int32)
+    marks = np.bitwise_or.reduce(marks_of(np.repeat(scan, 5)), axis=0)[None]
+    assert 2.0 ** scan_counts(marks)[0, 0] == pytest.approx(count, rel=0.25)
+    assert np.isnan(scan_counts(marks_of(np.array([-1], np.int32)))).all()
+
+
+def test_a_place_seen_in_passing_is_told_from_one_seen_again_and_again():
+    random = np.random.default_rng(0)
+    points, _ = scene(3_000, 3)
+    passing = points.xyz[:, 0] - 652_345.5 < 1.0
+    scan = np.where(passing, 7, random.integers(0, 40, len(points))).astype(np.int32)
+    timed = replace(points, scan=scan)
+    terms = evidence(timed, K, Surroundings.of(summarise_points(timed)))
+    own, more = (terms[:, TIMED_TERMS.index(name)] for name in ("scans_1_0.3", "scans_1_4.8"))
+    inside = points.xyz[:, 0] - 652_345.5 < 0.7
+    assert own[inside].max() < 0.1 and np.median(own[~passing]) > 1.5
+    assert np.median(more[inside]) > 3.0 > np.median(more[~passing])
+    known = evidence(points, K, Surroundings.of(summarise_points(points)))
+    np.testing.assert_array_equal(known, terms[:, : len(TERMS)])  # without scans: the same bits
 
 
 def as_dictionary(voxels):
@@ -149,14 +190,15 @@ def test_nothing_beyond_the_reach_decides():
     assert alone.tobytes() == evidence(one, K, Surroundings.of(voxels)).tobytes()
 
 
+@pytest.mark.parametrize("timed", [False, True])
 @pytest.mark.parametrize(("names", "sign"), [(RISING, 1), (FALLING, -1)])
-def test_the_model_keeps_to_what_physics_says(names, sign):
+def test_the_model_keeps_to_what_physics_says(names, sign, timed):
     """What is less flat is never less likely a ghost; what is denser or higher never more."""
-    terms = np.random.default_rng(0).normal(size=(300, len(TERMS))).astype(np.float32)
-    for name in names:
+    first = evidence_model(timed=timed).first
+    terms = np.random.default_rng(0).normal(size=(300, len(first.terms))).astype(np.float32)
+    for name in set(names) & set(first.terms):
         low, high = terms.copy(), terms.copy()
-        low[:, TERMS.index(name)], high[:, TERMS.index(name)] = -2.0, 2.0
-        first = evidence_model().first
+        low[:, first.terms.index(name)], high[:, first.terms.index(name)] = -2.0, 2.0
         assert (sign * (first.log_odds(high) - first.log_odds(low)) >= -1e-4).all()
 
 
