@@ -19,7 +19,13 @@ from pipeline.commands.tiles import (
     status_command,
     tile_command,
 )
-from pipeline.commands.tools import info_command, keys_command, simulate_command, view_command
+from pipeline.commands.tools import (
+    info_command,
+    keys_command,
+    simulate_command,
+    verify_command,
+    view_command,
+)
 from tiling.foreign_text import LONGEST_LINE, printable
 
 EXIT_FAILURE = 1
@@ -80,6 +86,7 @@ def common(
 app.command("run")(run_command)
 app.command("info")(info_command)
 app.command("view")(view_command)
+app.command("verify")(verify_command)
 app.command("simulate")(simulate_command)
 app.command("keys")(keys_command)
 app.command("plan")(plan_command)
