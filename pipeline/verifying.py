@@ -89,10 +89,10 @@ def verify(folder: Path) -> str:
             f"{collection.name}: expected the map that was cleaned, found one "
             f"that was changed since"
         )
-    table = _table(folder / LABELS_FILE) if configuration.output.labels else None
+    table = _Rows(_table(folder / LABELS_FILE)) if configuration.output.labels else None
     for file, reader in zip(report.files, collection.readers, strict=True):
         _verify_file(folder, file, reader, configuration, table)
-    if table is not None and next(table, None) is not None:
+    if table is not None and table.has_more():
         raise VerificationError(f"{folder / LABELS_FILE}: expected a row a point, found more")
     counts = report.counts
     gone = counts[Label.DYNAMIC.title]
@@ -114,7 +114,7 @@ def _verify_file(
     file: InputFile,
     reader: MapReader,
     configuration: Configuration,
-    table: Iterator[Columns] | None,
+    table: "_Rows | None",
 ) -> None:
     """Compare one input file with what was written of it."""
     outputs = [_Output(folder / name, reader, file.labelled is None) for name in file.outputs]
@@ -127,7 +127,7 @@ def _verify_file(
     if table is None and file.labelled is None:
         _verify_order(reader, *outputs)
         return
-    columns = _Rows(table or _labelled(folder / str(file.labelled), configuration))
+    columns = table or _Rows(_labelled(folder / str(file.labelled), configuration))
     for batch in reader.batches(_BATCH):
         own = columns.take(len(batch.xyz))
         scores = PointScores(own[DENSITY], own.get(SCORE))
@@ -212,14 +212,23 @@ class _Rows:
         self._batches = batches
         self._held: Columns = {}
 
+    def has_more(self) -> bool:
+        """Tell whether there are rows that nobody took."""
+        return self._grow() or bool(self._held and len(self._held[LABEL]))
+
+    def _grow(self) -> bool:
+        """Hold further rows; tell whether there were any."""
+        more, held = next(self._batches, None), self._held
+        if more is None:
+            return False
+        self._held = {k: np.concatenate([held[k], v]) if held else v for k, v in more.items()}
+        return True
+
     def take(self, count: int) -> Columns:
         """Return the next rows."""
         while not self._held or len(self._held[LABEL]) < count:
-            more = next(self._batches, None)
-            if more is None:
+            if not self._grow():
                 raise VerificationError("expected a label for each point, found fewer")
-            held = self._held
-            self._held = {k: np.concatenate([held[k], v]) if held else v for k, v in more.items()}
         taken = {name: values[:count] for name, values in self._held.items()}
         self._held = {name: values[count:] for name, values in self._held.items()}
         return taken

@@ -41,7 +41,7 @@ def prototype(image, kind):
             cartesianInvalidState=libe57.IntegerNode(image, 0, 0, 2),
             intensity=libe57.FloatNode(image, 0.0, libe57.E57_SINGLE, 0.0, 1.0),
             nor__normalX=libe57.FloatNode(image, 0.0, libe57.E57_SINGLE),
-            rowIndex=libe57.IntegerNode(image, 0, 0, 100),
+            rowIndex=libe57.IntegerNode(image, 0, 0, 10_000),
         )
     names = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
     return structure(image, **{name: real(image, 0.0) for name in names})
@@ -65,7 +65,7 @@ def values_of(kind, count):
     }
 
 
-def write_e57(path: Path, counts=COUNTS, grouped=False) -> None:
+def write_e57(path: Path, counts=COUNTS, grouped=False, picture=3_000_000) -> None:
     """Write scans of scaled integers and of spherical coordinates by turns, and a picture."""
     image = libe57.ImageFile(str(path), "w")
     image.extensionsAdd("", libe57.E57_V1_0_URI)
@@ -102,9 +102,9 @@ def write_e57(path: Path, counts=COUNTS, grouped=False) -> None:
         if count:
             writer.write(count)
         writer.close()
-    blob = libe57.BlobNode(image, 3_000_000)
+    blob = libe57.BlobNode(image, picture)
     pictures.append(structure(image, guid=text(image, "picture"), jpegImage=blob))
-    content = np.random.default_rng(9).integers(0, 256, 3_000_000).astype("u1")
+    content = np.random.default_rng(9).integers(0, 256, picture).astype("u1")
     blob.write(content, 0, len(content))
     image.close()
 

@@ -8,8 +8,12 @@ then counts, or in one short line; never in a traceback, a screen of text or a h
 import io
 import random
 import re
+import tempfile
 import tracemalloc
+from decimal import Decimal
+from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -30,10 +34,52 @@ def parquet(row_groups: int) -> bytes:
     return file.getvalue()
 
 
+def text(separator: str, head: str) -> bytes:
+    return (head + "".join(f"{separator.join(map(repr, row))}\n" for row in ROWS)).encode()
+
+
+def of_points() -> bytes:
+    file = io.BytesIO()
+    points = pa.FixedSizeListArray.from_arrays(POINTS.reshape(-1), 3)
+    pq.write_table(pa.table({"xyz": points, "price": [Decimal("1.5")] * COUNT}), file)
+    return file.getvalue()
+
+
+def e57() -> bytes:
+    pytest.importorskip("pye57", reason="pye57 is not installed (extra e57)")
+    from tests.tiling.test_e57 import write_e57  # noqa: PLC0415 - needs pye57
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "map.e57"
+        write_e57(path, (30, 10), picture=1000)
+        return path.read_bytes()
+
+
+def npz_with_objects() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, cloud=POINTS, meta=np.array({"by": "hand"}, dtype=object))
+    return file.getvalue()
+
+
+def as_npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+ROWS = [[*row, number] for number, row in enumerate(POINTS.tolist())]
 FILES = {
     **{name: make(COUNT) for name, make in MAKERS.items()},
     "map.parquet": parquet(1),
     "groups.parquet": parquet(2),
+    "points.parquet": of_points(),
+    "organised.npy": as_npy(POINTS.reshape(8, 5, 3)),
+    "objects.npz": npz_with_objects(),
+    "map.xyz": text(" ", ""),
+    "map.pts": text("\t", f"{COUNT}\n"),
+    "map.csv": text(",", "x,y,z,n\n"),
+    "map.bin": POINTS[:, [0, 1, 2, 2]].astype("<f4").tobytes(),
+    "map.e57": None,  # made where pye57 is installed
 }
 
 
@@ -64,7 +110,7 @@ def mutated(content: bytes, chance: random.Random) -> bytes:
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_damaged_file_is_read_in_full_or_refused(tmp_path, name):
-    content = FILES[name]
+    content = e57() if name == "map.e57" else FILES[name]
     path = tmp_path / name
     chance = random.Random(name)
     tracemalloc.start()
