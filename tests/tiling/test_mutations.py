@@ -7,7 +7,6 @@ then counts, or in one short line; never in a traceback, a screen of text or a h
 
 import io
 import random
-import re
 import tempfile
 import tracemalloc
 from decimal import Decimal
@@ -18,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from benchmarks.mutations import mutated
 from tests.tiling.test_leftover import COUNT, MAKERS, POINTS
 from tiling.collection import MapCollection
 from tiling.errors import TilingError
@@ -81,31 +81,6 @@ FILES = {
     "map.bin": POINTS[:, [0, 1, 2, 2]].astype("<f4").tobytes(),
     "map.e57": None,  # made where pye57 is installed
 }
-
-
-def mutated(content: bytes, chance: random.Random) -> bytes:
-    edited = bytearray(content)
-    end = len(edited) if chance.random() < 0.4 else min(len(edited), 400)
-    at = chance.randrange(end)
-    kind = chance.choice(["flip", "insert", "delete", "cut", "double", "number", "count"])
-    if kind == "flip":
-        edited[at] ^= 1 << chance.randrange(8)
-    elif kind == "insert":
-        edited[at:at] = chance.choice([b"\xff" * 4, b"\0" * 8, b"9", b"\n", b"\x1b[31m"])
-    elif kind == "delete":
-        del edited[at : at + chance.randint(1, 40)]
-    elif kind == "cut":
-        del edited[at:]
-    elif kind == "double":
-        edited[at:at] = edited[at : at + chance.randint(1, 300)]
-    elif kind == "number":
-        edited[at : at + 4] = chance.choice([0, 1, 2**31 - 1, 2**32 - 1]).to_bytes(4, "little")
-    else:
-        digits = [each.span() for each in re.finditer(rb"\d+", bytes(edited[:400]))]
-        if digits:
-            start, stop = chance.choice(digits)
-            edited[start:stop] = chance.choice([b"0", b"1", b"39", b"41", b"9" * 12])
-    return bytes(edited)
 
 
 @pytest.mark.parametrize("name", FILES)
