@@ -36,6 +36,10 @@ class LostPointsError(PipelineError):
     """The outputs together do not hold the points of the input: nothing is published."""
 
 
+class VerificationError(PipelineError):
+    """The results of a run are not what follows from its input, or are no results of a run."""
+
+
 class MissingPackageError(PipelineError):
     """A figure or a picture was asked for, and the optional package for it is not installed."""
 

@@ -126,7 +126,7 @@ def _is_result(name: Path) -> bool:
         return False
     if len(name.parts) == 1:
         files = (RUN_FILE, CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE)
-        return str(name) in files or name.stem in KINDS
+        return str(name) in files or name.name.partition(".")[0] in KINDS
     return name.parts[0] in KINDS
 
 

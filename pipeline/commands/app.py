@@ -34,6 +34,7 @@ from pipeline.commands.tools import (
     keys_command,
     manual_command,
     simulate_command,
+    verify_command,
     view_command,
 )
 from tiling.foreign_text import LONGEST_LINE, printable
@@ -128,6 +129,7 @@ for name, command in (  # in the order of a first day
     ("view", view_command),
     ("evaluate", evaluate_command),
     ("apply", apply_command),
+    ("verify", verify_command),
     ("plan", plan_command),
     ("status", status_command),
     ("discard", discard_command),

@@ -18,7 +18,8 @@ Maps = Annotated[
     typer.Argument(
         metavar="MAP...",
         help="One or more files, a folder, or a glob: together they are one map. "
-        "PCD, LAS, LAZ, COPC, PLY, Parquet, npy, npz.",
+        "PCD, LAS, LAZ, COPC, PLY, E57, Parquet, npy, npz, text (xyz, txt, pts, asc, csv), "
+        "KITTI bin.",
         show_default=False,
     ),
 ]

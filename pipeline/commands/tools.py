@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import (
-    Maps,
-)
+from pipeline.commands.options import Maps
+from tiling.foreign_text import printable_path
 
 
 def info_command(
@@ -20,6 +19,28 @@ def info_command(
 
     info = inspect_map(maps)
     typer.echo(json.dumps(info.model_dump(mode="json"), indent=2) if as_json else info.to_text())
+
+
+def verify_command(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR...", help="Output folders of runs, or folders of such."),
+    ],
+) -> None:
+    """Prove from the files that outputs make up the input, and that labels follow; a line a map."""
+    from pipeline.errors import PipelineError  # noqa: PLC0415
+    from pipeline.verifying import find_results, verify  # noqa: PLC0415
+    from tiling.errors import TilingError  # noqa: PLC0415
+
+    failed = False
+    for folder in [each for given in folders for each in find_results(given)]:
+        try:
+            typer.echo(f"verified: {printable_path(folder)}: {verify(folder)}")
+        except (PipelineError, TilingError, OSError) as error:
+            failed = True
+            typer.echo(f"NOT VERIFIED: {printable_path(folder)}: {error}")
+    if failed:
+        raise typer.Exit(1)
 
 
 def view_command(

@@ -259,5 +259,6 @@ def _distinct_names(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path
 
 
 def _stem(path: Path) -> str:
-    """Return the name without its suffix, `.copc.laz` counting as one."""
-    return path.stem.removesuffix(".copc") if path.suffix.lower() == ".laz" else path.stem
+    """Return the name without its suffix, `.copc.laz` and `.pcd.bin` counting as one."""
+    inner = {".laz": ".copc", ".bin": ".pcd"}.get(path.suffix.lower(), path.suffix)
+    return path.stem.removesuffix(inner)

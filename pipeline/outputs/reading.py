@@ -118,7 +118,7 @@ def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Dens
         return np.concatenate([static, dynamic]), labels, None
     path = folder / file["labelled"]
     labels = np.concatenate([np.empty(0, np.uint8), *label_batches(path)])
-    density = np.concatenate([np.empty(0), *_added_values(path, DENSITY)])
+    density = np.concatenate([np.empty(0), *added_values(path, DENSITY)])
     return _read_xyz(path), labels, density
 
 
@@ -130,12 +130,18 @@ def label_batches(path: Path) -> Iterator[Labels]:
     OutputError
         When it has none, or its format does not give them back.
     """
-    for values in _added_values(path, LABEL):
+    for values in added_values(path, LABEL):
         yield values.astype(np.uint8)
 
 
-def _added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
-    """Yield the values of a field that a run added, by the name that it got."""
+def added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
+    """Yield the values of a field that a run added to a map, by the name that it got.
+
+    Raises
+    ------
+    OutputError
+        When it has none, or its format does not give them back.
+    """
     names = [field.name for field in open_map(path).description.fields]
     own = next((each for each in reversed(own_names(name)) if each in names), name)
     try:

@@ -7,13 +7,17 @@ then counts, or in one short line; never in a traceback, a screen of text or a h
 
 import io
 import random
-import re
+import tempfile
 import tracemalloc
+from decimal import Decimal
+from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from benchmarks.mutations import mutated
 from tests.tiling.test_leftover import COUNT, MAKERS, POINTS
 from tiling.collection import MapCollection
 from tiling.errors import TilingError
@@ -30,41 +34,58 @@ def parquet(row_groups: int) -> bytes:
     return file.getvalue()
 
 
+def text(separator: str, head: str) -> bytes:
+    return (head + "".join(f"{separator.join(map(repr, row))}\n" for row in ROWS)).encode()
+
+
+def of_points() -> bytes:
+    file = io.BytesIO()
+    points = pa.FixedSizeListArray.from_arrays(POINTS.reshape(-1), 3)
+    pq.write_table(pa.table({"xyz": points, "price": [Decimal("1.5")] * COUNT}), file)
+    return file.getvalue()
+
+
+def e57() -> bytes:
+    pytest.importorskip("pye57", reason="pye57 is not installed (extra e57)")
+    from tests.tiling.test_e57 import write_e57  # noqa: PLC0415 - needs pye57
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "map.e57"
+        write_e57(path, (30, 10), picture=1000)
+        return path.read_bytes()
+
+
+def npz_with_objects() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, cloud=POINTS, meta=np.array({"by": "hand"}, dtype=object))
+    return file.getvalue()
+
+
+def as_npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+ROWS = [[*row, number] for number, row in enumerate(POINTS.tolist())]
 FILES = {
     **{name: make(COUNT) for name, make in MAKERS.items()},
     "map.parquet": parquet(1),
     "groups.parquet": parquet(2),
+    "points.parquet": of_points(),
+    "organised.npy": as_npy(POINTS.reshape(8, 5, 3)),
+    "objects.npz": npz_with_objects(),
+    "map.xyz": text(" ", ""),
+    "map.pts": text("\t", f"{COUNT}\n"),
+    "map.csv": text(",", "x,y,z,n\n"),
+    "map.bin": POINTS[:, [0, 1, 2, 2]].astype("<f4").tobytes(),
+    "map.e57": None,  # made where pye57 is installed
 }
-
-
-def mutated(content: bytes, chance: random.Random) -> bytes:
-    edited = bytearray(content)
-    end = len(edited) if chance.random() < 0.4 else min(len(edited), 400)
-    at = chance.randrange(end)
-    kind = chance.choice(["flip", "insert", "delete", "cut", "double", "number", "count"])
-    if kind == "flip":
-        edited[at] ^= 1 << chance.randrange(8)
-    elif kind == "insert":
-        edited[at:at] = chance.choice([b"\xff" * 4, b"\0" * 8, b"9", b"\n", b"\x1b[31m"])
-    elif kind == "delete":
-        del edited[at : at + chance.randint(1, 40)]
-    elif kind == "cut":
-        del edited[at:]
-    elif kind == "double":
-        edited[at:at] = edited[at : at + chance.randint(1, 300)]
-    elif kind == "number":
-        edited[at : at + 4] = chance.choice([0, 1, 2**31 - 1, 2**32 - 1]).to_bytes(4, "little")
-    else:
-        digits = [each.span() for each in re.finditer(rb"\d+", bytes(edited[:400]))]
-        if digits:
-            start, stop = chance.choice(digits)
-            edited[start:stop] = chance.choice([b"0", b"1", b"39", b"41", b"9" * 12])
-    return bytes(edited)
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_damaged_file_is_read_in_full_or_refused(tmp_path, name):
-    content = FILES[name]
+    content = e57() if name == "map.e57" else FILES[name]
     path = tmp_path / name
     chance = random.Random(name)
     tracemalloc.start()

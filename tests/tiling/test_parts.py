@@ -84,6 +84,7 @@ def readers(tmp_path_factory) -> dict[str, MapReader]:
     (folder / "little.ply").write_bytes(ply("little", TABLE.tobytes()))
     big = TABLE.astype([(name, TABLE.dtype[name].newbyteorder(">")) for name in TABLE.dtype.names])
     (folder / "big.ply").write_bytes(ply("big", big.tobytes()))
+    (folder / "kitti.bin").write_bytes(np.hstack([XYZ, XYZ[:, :1]]).astype("<f4").tobytes())
     np.save(folder / "table.npy", TABLE)
     np.save(folder / "rows.npy", XYZ)
     np.save(folder / "columns.npy", np.asfortranarray(XYZ))
@@ -96,6 +97,7 @@ def readers(tmp_path_factory) -> dict[str, MapReader]:
 
 NAMES = [
     *("binary.pcd", "little.ply", "big.ply", "table.npy", "rows.npy", "columns.npy"),
+    "kitti.bin",
     *("las_1_2.las", "las_1_4.las", "las_1_5.las"),
 ]
 

@@ -62,6 +62,17 @@ def parquet(rows_in_a_group: int) -> bytes:
     return stream.getvalue()
 
 
+def parquet_of_points() -> bytes:
+    stream = io.BytesIO()
+    points = pa.FixedSizeListArray.from_arrays(XYZ.reshape(-1), 3)
+    pq.write_table(pa.table({"xyz": points, "n": NUMBER}), stream, row_group_size=64)
+    return stream.getvalue()
+
+
+def bare(values: int) -> bytes:
+    return np.hstack([XYZ, *[NUMBER[:, None]] * (values - 3)]).astype("<f4").tobytes()
+
+
 def las(compress: bool, point_format: int) -> bytes:
     header = laspy.LasHeader(point_format=point_format, version="1.4")
     header.scales = [0.001] * 3
@@ -103,6 +114,12 @@ MAPS = {
     "deflated.npz": (npz(np.savez_compressed), False),
     "groups.parquet": (parquet(64), True),
     "one.parquet": (parquet(COUNT), True),
+    "points.parquet": (parquet_of_points(), True),
+    "organised.npy": (npy(XYZ.reshape(7, 100, 3)), True),
+    "kitti.bin": (bare(4), True),
+    "nuscenes.pcd.bin": (bare(5), True),
+    "counted.pts": (f"{COUNT}\n".encode() + ROWS_OF_TEXT, False),
+    "named.csv": (b"x,y,z,n\n" + ROWS_OF_TEXT.replace(b" ", b","), False),
     "plain.las": (las(False, 3), True),
     "layers.laz": (las(True, 6), True),
     "points.laz": (las(True, 3), True),

@@ -19,7 +19,7 @@ def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
     Parameters
     ----------
     path : Path
-        A PCD, LAS, LAZ, COPC, Parquet, npy or npz file.
+        A PCD, LAS, LAZ, COPC, Parquet, npy, npz or text file.
     name : str
         A field with one number a point, as the file names it.
 
@@ -32,7 +32,7 @@ def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
     ------
     MapFormatError
         When the map has no such field, when it is not of numbers, or when the map is of a format
-        whose fields cannot be read apart (PLY).
+        whose fields cannot be read apart (PLY, E57, bare records).
     """
     reader = open_map(path)
     fields = {field.name: field for field in reader.description.fields}
@@ -77,9 +77,28 @@ def _pcd_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
 def _las_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
     import laspy  # noqa: PLC0415
 
-    with laspy.open(reader.description.path) as file:
-        for points in file.chunk_iterator(DEFAULT_BATCH):
-            yield np.asarray(points[name])
+    path = reader.description.path
+    try:
+        with laspy.open(path) as file:
+            for points in file.chunk_iterator(DEFAULT_BATCH):
+                yield np.asarray(points[name])
+    except (laspy.LaspyException, ValueError) as error:
+        raise MapFormatError(path, "a map that laspy reads", str(error)) from error
+
+
+def _text_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
+    from tiling.formats.text import read_head  # noqa: PLC0415
+
+    path = reader.description.path
+    head = read_head(path)
+    column = head.names.index(name)
+    for batch in reader.batches():
+        lines = batch.records.tobytes().splitlines()
+        words = [line.split(head.layout.separator or None)[column] for line in lines]
+        try:
+            yield np.array(words).astype(np.float64)
+        except ValueError as error:
+            raise MapFormatError(path, f"numbers in the field {name}", str(error)) from error
 
 
 def _parquet_values(reader: MapReader, name: str) -> Iterator[NDArray[np.generic]]:
@@ -111,4 +130,5 @@ _SOURCES = {
     ".parquet": _parquet_values,
     ".npy": _numpy_values,
     ".npz": _numpy_values,
+    **dict.fromkeys((".xyz", ".pts", ".asc", ".txt", ".csv"), _text_values),
 }

@@ -6,7 +6,7 @@ with PostGIS's flag).
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -119,7 +119,7 @@ def _is_list(kind: pa.DataType) -> bool:
     )
 
 
-def _of_parts(table: pa.Table, keys: list[tuple[str, int | str | None]]) -> Points:
+def _of_parts(table: pa.Table, keys: Sequence[tuple[str, int | str | None]]) -> Points:
     """Take each coordinate from a column, or from an item or a member of its values."""
     xyz = np.empty((table.num_rows, 3))
     for axis, (name, key) in enumerate(keys):

@@ -13,6 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tiling.errors import MapFormatError
 from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
 from tiling.formats.extension import ExtendedText
@@ -25,7 +28,7 @@ from tiling.formats.points import (
     only_rows,
 )
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
-from tiling.formats.text_rows import COMMENTS, RowLayout, TextWriter, read_rows
+from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, TextWriter, read_rows
 
 _SEPARATORS = {b";": "semicolons", b",": "commas", b"\t": "tabs", b"": "blanks"}
 """In the order in which they are tried: the first that splits the first row counts."""
@@ -246,7 +249,7 @@ def _is_number(word: bytes) -> bool:
 
 def _rows(
     stream: BinaryIO, head: TextHead, path: Path, count: int | None, max_points: int
-) -> Iterator:
+) -> Iterator[tuple[TextRows, NDArray[np.float64]]]:
     stream.seek(head.size)
     first_line = len([line for line in head.lines if line.endswith(b"\n")]) + 1
     return read_rows(stream, head.layout, count, max_points, path, first_line)

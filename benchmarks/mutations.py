@@ -1,0 +1,188 @@
+"""Maps whose bytes are changed, again and again: each is read in full, or refused in one line.
+
+    python -m benchmarks.mutations MAP... [--times 1000] [--every 50] [--seed 0]
+
+Of each map, bits are flipped, bytes put in, taken out, doubled and cut off, and numbers of the
+header made others. What comes of it must be as many points as the file then counts, or one short
+line of an error that is expected, soon. With each `--every`-th a whole run is made: it ends with
+results that `verify` proves, or with none, and the file is as it was. A process of its own works on
+each map, since a crash must be seen. Prints what came of it, and ends with 1 if any harm was done.
+"""
+
+import argparse
+import multiprocessing
+import random
+import re
+import resource
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.attack import HarmError, digest_of
+from dynahull.errors import DynaHullError
+from pipeline.configuration.run import load_configuration
+from pipeline.errors import PipelineError
+from pipeline.progress import LogDisplay, StageObserver
+from pipeline.run import run
+from pipeline.verifying import verify
+from tiling.collection import MapCollection
+from tiling.errors import TilingError
+
+SETTINGS = ("neighbours.k=8", "clustering.count=2", "ground.method=none", "output.report=none")
+LONGEST_SECONDS = 10.0
+MOST_BYTES = 2 << 30
+"""Of a process; compiled code and libraries take 0.4 GB of it."""
+
+
+def mutated(content: bytes, chance: random.Random) -> bytes:
+    """Return a file's bytes with one change, which is in the header more often than not."""
+    edited = bytearray(content)
+    end = len(edited) if chance.random() < 0.4 else min(len(edited), 400)
+    at = chance.randrange(end)
+    kind = chance.choice(["flip", "insert", "delete", "cut", "double", "number", "count"])
+    if kind == "flip":
+        edited[at] ^= 1 << chance.randrange(8)
+    elif kind == "insert":
+        edited[at:at] = chance.choice([b"\xff" * 4, b"\0" * 8, b"9", b"\n", b"\x1b[31m"])
+    elif kind == "delete":
+        del edited[at : at + chance.randint(1, 40)]
+    elif kind == "cut":
+        del edited[at:]
+    elif kind == "double":
+        edited[at:at] = edited[at : at + chance.randint(1, 300)]
+    elif kind == "number":
+        edited[at : at + 4] = chance.choice([0, 1, 2**31 - 1, 2**32 - 1]).to_bytes(4, "little")
+    else:
+        digits = [each.span() for each in re.finditer(rb"\d+", bytes(edited[:400]))]
+        if digits:
+            start, stop = chance.choice(digits)
+            edited[start:stop] = chance.choice([b"0", b"1", b"39", b"41", b"9" * 12])
+    return bytes(edited)
+
+
+def sealed(content: bytes) -> bytes:
+    """Return the bytes of an E57 file with the checksums of its pages right (CRC-32C).
+
+    Else each change would be found by them alone.
+    """
+    pages = []
+    for start in range(0, len(content) - len(content) % 1024, 1024):
+        page = content[start : start + 1020]
+        checksum = 0xFFFFFFFF
+        for byte in page:
+            checksum = _CASTAGNOLI[(checksum ^ byte) & 0xFF] ^ checksum >> 8
+        pages.append(page + (checksum ^ 0xFFFFFFFF).to_bytes(4, "big"))
+    return b"".join(pages)
+
+
+def _castagnoli() -> list[int]:
+    table = []
+    for byte in range(256):
+        for _ in range(8):
+            byte = byte >> 1 ^ 0x82F63B78 * (byte & 1)  # noqa: PLW2901
+        table.append(byte)
+    return table
+
+
+_CASTAGNOLI = _castagnoli()
+
+
+def main(given: Sequence[str] | None = None) -> None:
+    """Change maps, and say what came of it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("maps", nargs="+", type=Path)
+    parser.add_argument("--times", type=int, default=1000)
+    parser.add_argument("--every", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args(given)
+    digests = {path: digest_of(path) for path in arguments.maps}
+    harm = 0
+    for path in arguments.maps:
+        work = (path, arguments.times, arguments.every, arguments.seed)
+        process = multiprocessing.get_context("spawn").Process(target=attack, args=work)
+        process.start()
+        process.join()
+        if process.exitcode:
+            print(f"HARM: {path.name}: the process ended with {process.exitcode}")
+            harm += 1
+    changed = [path for path, digest in digests.items() if digest_of(path) != digest]
+    print("\n".join(f"HARM: {path} was changed" for path in changed) or "inputs untouched")
+    sys.exit(1 if harm or changed else 0)
+
+
+def attack(path: Path, times: int, every: int, seed: int) -> None:
+    """Change one map so many times, and print what came of it; end with 1 at the first harm."""
+    content = path.read_bytes()
+    chance = random.Random(f"{path.name} {seed}")
+    done: Counter[str] = Counter()
+    slowest, begun = 0.0, time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(times):
+            target = Path(folder) / path.name
+            changed = mutated(content, chance)
+            is_sealed = path.suffix == ".e57" and chance.random() < 0.9
+            target.write_bytes(sealed(changed) if is_sealed else changed)
+            start = time.monotonic()
+            try:
+                done[_read(target)] += 1
+                if number % every == 0:
+                    done[_run(target, Path(folder) / f"out{number}")] += 1
+                slowest = max(slowest, time.monotonic() - start)
+                _check_cost(slowest)
+            except Exception as error:  # whatever is not expected
+                kept = Path(tempfile.gettempdir()) / f"harm_{number}_{path.name}"
+                kept.write_bytes(target.read_bytes())
+                print(f"HARM: {path.name}, mutation {number}, kept as {kept}: {error!r}")
+                sys.exit(1)
+    came = ", ".join(f"{count} {what}" for what, count in sorted(done.items()))
+    seconds = time.monotonic() - begun
+    print(f"{path.name}: {came}; slowest {slowest:.1f} s, {seconds:.0f} s in all")
+
+
+def _read(path: Path) -> str:
+    """Read a map, and say whether it was read or refused."""
+    try:
+        collection = MapCollection([path])
+        found = sum(len(batch.xyz) for _, batch in collection.batches(7))
+    except TilingError as error:
+        _check_line(error)
+        return "refused"
+    if found != collection.point_count:
+        raise HarmError(f"{found} points of {collection.point_count}")
+    return "read"
+
+
+def _run(path: Path, folder: Path) -> str:
+    """Clean a map, and say how that ended."""
+    digest = digest_of(path)
+    configuration = load_configuration(None, [*SETTINGS, "execution.workers=1"])
+    try:
+        run([path], folder, configuration, StageObserver(LogDisplay()))
+        verify(folder)
+        ended = "runs proven"
+    except (TilingError, DynaHullError, PipelineError) as error:
+        _check_line(error)
+        ended = "runs ended in one line"
+        if folder.exists():
+            raise HarmError(f"left behind: {list(folder.iterdir())}") from error
+    if digest_of(path) != digest:
+        raise HarmError("the input was changed")
+    return ended
+
+
+def _check_line(error: Exception) -> None:
+    if len(str(error)) > 400 or not str(error).isprintable():
+        raise HarmError(f"no short line: {error}")
+
+
+def _check_cost(seconds: float) -> None:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    if seconds > LONGEST_SECONDS or peak > MOST_BYTES:
+        raise HarmError(f"{seconds:.1f} s, {peak} bytes")
+
+
+if __name__ == "__main__":
+    main()
