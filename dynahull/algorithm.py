@@ -72,7 +72,7 @@ def clean(
 
     Parameters
     ----------
-    points : (N, 3) array_like, or a point cloud of Open3D
+    points : (N, 3) array_like, or a cloud of Open3D, laspy, PyTorch or pandas
         The map, in metres; NaN and infinite coordinates are allowed and labelled invalid.
     parameters : MethodParameters, dict or str, optional
         All parameters, or the name of a ready configuration (`"paper"`, `"auto"`, `"indoor"`,

@@ -17,12 +17,11 @@ LARGEST_COORDINATE = 1e150
 _ARRAY_PROTOCOLS = ("__array__", "__array_interface__", "__array_struct__", "__buffer__")
 
 _REMEDIES = {
-    "xyz": "its .xyz",
     "numpy": "its .numpy()",
     "points": "numpy.asarray of its .points",
     "toarray": "its .toarray()",
 }
-"""What to pass of objects that have an attribute: of laspy, PyTorch, PyVista, SciPy's sparse."""
+"""What to pass of objects that have an attribute: of PyVista, SciPy's sparse."""
 
 _TOLD = ("stage", "advance", "warn")
 
@@ -61,10 +60,25 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
 
 
 def cloud_points(given: Any) -> Any:
-    """Return the points of an Open3D cloud, of either kind; all else as it is.
+    """Return the points of what other libraries hold a cloud in; all else as it is.
 
-    Whoever has such a cloud has imported Open3D: nobody else is kept waiting for it.
+    They are clouds of Open3D, of either kind, data of laspy, tensors of PyTorch, on any device,
+    and tables of pandas with x, y and z among their columns. Whoever has such an object has
+    imported its library: nobody else is kept waiting for it.
     """
+    if not isinstance(given, np.ndarray):
+        kind = type(given)
+        if hasattr(kind, "detach"):
+            return given.detach().cpu().numpy()
+        if hasattr(kind, "xyz") and not _offers_array(kind):
+            return given.xyz
+        if hasattr(kind, "loc") and _misnamed(names := _column_names(given)):
+            named = {name.lower(): name for name in names}
+            return given[[named[axis] for axis in "xyz"]]
+    return _points_of_open3d(given)
+
+
+def _points_of_open3d(given: Any) -> Any:
     open3d = sys.modules.get("open3d")
     if open3d is None:
         return given

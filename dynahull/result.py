@@ -1,6 +1,7 @@
 """What the method returns: labels, densities, clusters, and what Eq. 1 made of them."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,25 @@ class CleaningResult:
     def kept(self) -> NDArray[np.bool_]:
         """The points that stay in the map: all but the dynamic ones, as an (N,) mask."""
         return np.asarray(self.labels != Label.DYNAMIC)
+
+    @property
+    def indices(self) -> NDArray[np.int64]:
+        """The rows that stay, ascending: for Open3D's `select_by_index`."""
+        return np.flatnonzero(self.kept)
+
+    def cleaned(self, given: Any) -> Any:
+        """Return what was cleaned without its ghosts, with all that it holds beside coordinates.
+
+        Parameters
+        ----------
+        given : as given to `clean`
+            A cloud of Open3D, data of laspy, a table, a tensor or an array; a list gives an array.
+        """
+        if hasattr(given, "select_by_index"):
+            return given.select_by_index(self.indices.tolist())
+        if hasattr(type(given), "xyz") and hasattr(given, "points"):
+            return type(given)(given.header, given.points[self.kept])
+        return (np.asarray(given) if isinstance(given, list | tuple) else given)[self.kept]
 
     @property
     def removal_percentages(self) -> NDArray[np.float64]:

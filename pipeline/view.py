@@ -8,6 +8,7 @@ import logging
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -87,6 +88,34 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
             f"Rerun's viewer ended with code {ended.returncode}, see above; --save FILE.rrd "
             "writes what `rerun FILE.rrd` opens on another machine"
         )
+
+
+def view_with_open3d(folder: Path) -> None:
+    """Open a window of Open3D with the result of a run, coloured by label; see `view_result`."""
+    try:
+        open3d = import_module("open3d")
+    except (ImportError, OSError) as error:
+        raise MissingViewerError(
+            f"view needs Open3D: {install_command('open3d', 'open3d')} ({error})"
+        ) from error
+    if not _has_screen():
+        raise MissingViewerError(
+            "view needs a screen, and found neither DISPLAY nor WAYLAND_DISPLAY"
+        )
+    points = read_result(folder)
+    open3d.visualization.draw_geometries([open3d_cloud(open3d, points)], window_name=folder.name)
+
+
+def open3d_cloud(open3d: Any, points: ResultPoints) -> Any:
+    """Return points as a cloud of Open3D, coloured by label, from the lowest corner of the map."""
+    colours = np.full((256, 3), UNSCORED_COLOUR)
+    for label, colour in LABEL_COLOURS.items():
+        colours[label] = colour
+    corner = points.xyz.min(axis=0) if len(points.xyz) else np.zeros(3)
+    vectors = open3d.utility.Vector3dVector
+    cloud = open3d.geometry.PointCloud(vectors(points.xyz - corner))
+    cloud.colors = vectors(colours[points.labels] / 255)
+    return cloud
 
 
 def write_recording(rerun: Any, points: ResultPoints, name: str, path: Path) -> None:

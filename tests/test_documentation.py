@@ -130,7 +130,28 @@ def example_maps(tmp_path_factory):
     )
     (folder / "hall.ply").write_bytes(ply.encode() + points.tobytes())
     shutil.rmtree(folder / "made")
+    if importlib.util.find_spec("rosbags"):
+        write_bag(folder / "bag", points)
     return folder
+
+
+def write_bag(path, points):
+    """Write a map as ROS 2 records it."""
+    from rosbags.rosbag2 import Writer  # noqa: PLC0415 (an extra)
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    message = {name.rpartition("/")[2]: kind for name, kind in types.types.items()}
+    fields = [
+        message["PointField"](name, 4 * place, 7, 1) for place, name in enumerate(("x", "y", "z"))
+    ]
+    header = message["Header"](message["Time"](0, 0), "map")
+    data = points.astype("<f4").view(np.uint8).reshape(-1)
+    count = len(points)
+    cloud = message["PointCloud2"](header, 1, count, fields, False, 12, 12 * count, data, True)
+    with Writer(path, version=9) as writer:
+        topic = writer.add_connection("/map", cloud.__msgtype__, typestore=types)
+        writer.write(topic, 0, types.serialize_cdr(cloud, cloud.__msgtype__))
 
 
 def run_in(folder, arguments):
@@ -220,6 +241,8 @@ def test_a_page_does_what_it_says(page, example_maps, tmp_path, monkeypatch):
         if block.page != page or not is_run(block):
             continue
         if "open3d" in block.text and block.kind == "python" and not has_open3d():
+            continue
+        if "rosbags" in block.text and not importlib.util.find_spec("rosbags"):
             continue
         if block.kind == "python":
             start = "import numpy as np\npoints = np.load('points.npy')\n"

@@ -49,11 +49,22 @@ def view_command(
         Path | None,
         typer.Option(metavar="FILE.rrd", help="Write a recording to open elsewhere instead."),
     ] = None,
+    viewer: Annotated[
+        str, typer.Option("--with", metavar="VIEWER", help="rerun or open3d: an extra each.")
+    ] = "rerun",
 ) -> None:
-    """Open a result in a window, coloured by label and by density (needs the extra `rerun`)."""
-    from pipeline.view import view_result  # noqa: PLC0415
+    """Open a result in a window, coloured by label, and by density (rerun)."""
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+    from pipeline.view import view_result, view_with_open3d  # noqa: PLC0415
 
-    view_result(folder, save)
+    if viewer not in ("rerun", "open3d") or (save is not None and viewer != "rerun"):
+        raise ConfigurationError(
+            f"--with {viewer}: expected rerun, which alone takes --save, or open3d"
+        )
+    if viewer == "open3d":
+        view_with_open3d(folder)
+    else:
+        view_result(folder, save)
 
 
 def simulate_command(

@@ -16,6 +16,7 @@ from pipeline.errors import NightlyError
 from pipeline.nightly.clock import Clock, Ending
 from pipeline.nightly.journal import Failure
 from pipeline.nightly.results import MapFolder, begun, report_page, run_report
+from pipeline.nightly.trend import last_nights, thumbnail
 from pipeline.showing import only_showing, printable
 from pipeline.templates import render
 from tiling.atomic import atomic_file
@@ -34,6 +35,9 @@ EXIT_LOCKED = 75
 EXIT_SIGNALLED = 130
 
 _INDEX_TITLE = "dynahull-pipeline: night of "
+
+_NAMED = 5
+"""Maps that failed, by name in the last line."""
 
 _MINUTE = "%Y-%m-%d %H:%M UTC"
 
@@ -144,7 +148,10 @@ class NightSummary(BaseModel):
         """Return the line at the end of a night."""
         counts = ", ".join(f"{count} {outcome}" for outcome, count in self.counts.items())
         why = {"time": "; stop_after is over", "signal": "; stopped by a signal"}
-        return f"{counts or 'no maps'}{why.get(self.ended, '')}"
+        failed = [printable(Path(line.map).name) for line in self.maps if line.outcome in FAILURES]
+        more = f" and {len(failed) - _NAMED} more" if len(failed) > _NAMED else ""
+        named = f"; failed: {', '.join(failed[:_NAMED])}{more}" if failed else ""
+        return f"{counts or 'no maps'}{why.get(self.ended, '')}{named}"
 
 
 def write_index(folder: Path, summary: NightSummary) -> None:
@@ -160,6 +167,8 @@ def write_index(folder: Path, summary: NightSummary) -> None:
         summary=summary,
         lines=sorted(summary.maps, key=lambda line: (line.outcome not in bad, line.map)),
         bad=bad,
+        nights=last_nights(folder / LINES_FILE),
+        picture=lambda line: thumbnail(folder / line.report) if line.report else None,
         begun=lambda run: f"{datetime.fromtimestamp(begun(Path(run)), UTC):{_MINUTE}}",
     )
     with atomic_file(folder / INDEX_FILE) as temporary:

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from dynahull.result import ClusterSummary
-from pipeline.configuration.run import Configuration
+from pipeline.configuration.run import Configuration, is_elsewhere
 from pipeline.decision import Decision, Place
 from pipeline.outputs.folder import OutputNames
-from pipeline.plan.machine import peak_memory
+from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.showing import printable
@@ -100,6 +100,9 @@ class RunReport(BaseModel):
         Wall time of each stage.
     peak_memory_bytes : int
         Of this process.
+    peak_memory_all_bytes : int or None
+        Of this process and its workers together, at most: each is taken to be as large as the
+        largest. None where workers are on other machines.
     warnings : list of str
     system : str
         Coordinate reference system and unit of the map, in words.
@@ -124,6 +127,7 @@ class RunReport(BaseModel):
     uncertain_points: int | None = None
     seconds: dict[str, float]
     peak_memory_bytes: int
+    peak_memory_all_bytes: int | None = None
     warnings: list[FileName]
     system: str = ""
     configuration: dict[str, Any]
@@ -163,6 +167,10 @@ class RunReport(BaseModel):
             uncertain_points=None if decision is None else decision.uncertain,
             seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
+            peak_memory_all_bytes=None
+            if is_elsewhere(configuration)
+            else peak_memory()
+            + available_cores(configuration.execution.workers) * peak_of_workers(),
             warnings=list(observer.warnings),
             system=of_map(collection, configuration.input),
             configuration=configuration.model_dump(mode="json"),

@@ -16,6 +16,9 @@ from typing import Literal
 
 from pipeline.errors import ConfigurationError
 
+_MAXRSS_UNIT = 1 if sys.platform == "darwin" else 1024
+"""Bytes."""
+
 
 def available_cores(wanted: int | Literal["auto"]) -> int:
     """Return the number of workers: as asked for, or one for each core this process may use.
@@ -43,7 +46,12 @@ def peak_memory() -> int:
     for line in _lines(Path("/proc/self/status")):
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MAXRSS_UNIT
+
+
+def peak_of_workers() -> int:
+    """Return the most memory that one process started by this one held, of those that ended."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _MAXRSS_UNIT
 
 
 def give_memory_back() -> None:

@@ -69,6 +69,8 @@ class Axis:
     def ticks(self, count: int = 5) -> list[float]:
         """Return about `count` round numbers on the axis."""
         span = self.high - self.low
+        if self.write is power_of_ten and span > 0:
+            return self._powers(count)
         if span <= 0:
             return [self.low]
         rough = span / max(count, 1)
@@ -78,6 +80,16 @@ class Axis:
         step = next(size * factor for factor in (1, 2, 5, 10) if size * factor >= rough * 0.999)
         first, last = ceil(self.low / step - 1e-9), floor(self.high / step + 1e-9)
         return [round(number * step, 12) for number in range(first, last + 1)]
+
+    def _powers(self, count: int) -> list[float]:
+        """Return the logarithms of round numbers: powers of ten, or 1, 2 and 5 times them."""
+        decades = range(floor(self.low) - 1, ceil(self.high) + 1)
+        for parts in ((1, 2, 5), (1, 3), (1,)):
+            places = [decade + log10(part) for decade in decades for part in parts]
+            ticks = [place for place in places if self.low <= place <= self.high]
+            if len(ticks) <= count + 1:
+                return ticks
+        return ticks[:: -(-len(ticks) // count)]
 
 
 def equation_axes(clusters: Sequence[ClusterReport], most_percent: float) -> tuple[Axis, Axis]:

@@ -5,6 +5,8 @@ range, which is finer than a screen shows. Nothing but pictures is made of them.
 """
 
 import base64
+import struct
+import zlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +22,7 @@ PERCENT_CODES = 600
 
 NEVER_CODE = 65_535
 
+_ICON_SIZE = (192, 128)
 _MOST = 65_535
 _NO_DENSITY = 255
 _OUTLIERS = 0.001
@@ -95,6 +98,31 @@ def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
         np.maximum(xyz.min(axis=0), near - margin),
         np.minimum(xyz.max(axis=0), far + margin),
     )
+
+
+def icon(sample: MapSample) -> str:
+    """Return the map from above as a small picture, a data URI: what is removed is orange."""
+    wide, tall = _ICON_SIZE
+    low, high = view_bounds(sample.xyz)
+    span = max((high[0] - low[0]) / wide, (high[1] - low[1]) / tall, 1e-9)
+    cells = np.floor((sample.xyz[:, :2] - low[:2]) / span).astype(np.int64)
+    inside = ((cells >= 0) & (cells < _ICON_SIZE)).all(axis=1)
+    colours = np.zeros((tall, wide), np.uint8)
+    for label, code in ((Label.GROUND, 1), (Label.STATIC, 2), (Label.DYNAMIC, 3)):
+        x, y = cells[inside & (sample.labels == label)].T
+        colours[tall - 1 - y, x] = code
+    rows = b"".join(b"\0" + row.tobytes() for row in colours)
+    parts = [
+        (b"IHDR", struct.pack(">IIBBBBB", wide, tall, 8, 3, 0, 0, 0)),
+        (b"PLTE", bytes([255, 255, 255, 205, 200, 190, 43, 108, 163, 213, 94, 0])),
+        (b"IDAT", zlib.compress(rows, 9)),
+        (b"IEND", b""),
+    ]
+    image = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts
+    )
+    return f"data:image/png;base64,{base64.b64encode(image).decode()}"
 
 
 def _own_code(own: float) -> int:

@@ -1,10 +1,13 @@
 """The page itself: what the run reports, put in place."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
+import numpy as np
 import yaml
 from markupsafe import Markup
 
@@ -23,7 +26,7 @@ from pipeline.report_page.charts import (
     density_charts,
     equation_axes,
 )
-from pipeline.report_page.encoding import EncodedSample, encode
+from pipeline.report_page.encoding import EncodedSample, encode, icon
 from pipeline.report_page.percentages import (
     Percentages,
     confidence_percentages,
@@ -37,6 +40,10 @@ _SCRIPTS = ("three.bundle.js", "data.js", "scene.js", "views.js", "page.js")
 
 _MOST_CLUSTERS = 100
 """Rows of the table of clusters, the largest clusters first."""
+
+
+_MOST_FILES = 1_000
+"""Of a map of more, the views go to the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +104,15 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
         "confidence": removal["confidence"] if by_evidence else None,
         "min_ratio": least / most if most else 1.0,
         "min_percent": least,
+        "apply": shlex.join(["dynahull-pipeline", "apply", report.output])
+        if report.configuration["output"]["labels"]
+        else None,
+        "files": _files(report, views.sample),
     }
     return render(
         f"{_ASSETS}/page.html",
         title=_title(report),
+        icon=icon(views.sample),
         style=_asset("page.css"),
         scripts=[_asset(name) for name in _SCRIPTS],
         report=report,
@@ -109,6 +121,7 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
         figures=_figures(report),
         share_of=share_of,
         sample=views.sample,
+        most_percent=min(100, ceil(max(3 * most, 20))),
         margin=views.percentages.margin,
         densities=views.densities,
         most_histograms=MOST_HISTOGRAMS,
@@ -122,6 +135,23 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
         facts=facts,
         arrays=views.encoded.arrays,
     )
+
+
+def _files(report: RunReport, sample: MapSample) -> list[dict[str, Any]]:
+    """Return the files of a map of several, and where their sampled points lie."""
+    if len(report.files) == 1:
+        return []
+    starts = np.searchsorted(sample.rows, [file.first_row for file in report.files])
+    parts = zip(report.files, np.split(sample.xyz, starts[1:]), strict=True)
+    return [
+        {
+            "name": printable(Path(file.path).name),
+            "low": xyz.min(axis=0).tolist(),
+            "high": xyz.max(axis=0).tolist(),
+        }
+        for file, xyz in parts
+        if len(xyz)
+    ][:_MOST_FILES]
 
 
 def _asset(name: str) -> Markup:
@@ -151,7 +181,10 @@ def _figures(report: RunReport) -> list[tuple[str, str, str]]:
         figures.append(("places", f"{report.place_count:,}", kept))
     figures.append(("clusters", f"{len(report.clusters):,}", ""))
     figures.append(("wall time", _seconds(sum(report.seconds.values())), "all stages below"))
-    figures.append(("peak memory", in_units(report.peak_memory_bytes), "of the main process"))
+    peak, whose = report.peak_memory_all_bytes, "of all processes together, at most"
+    if peak is None:
+        peak, whose = report.peak_memory_bytes, "of the main process"
+    figures.append(("peak memory", in_units(peak), whose))
     return figures
 
 

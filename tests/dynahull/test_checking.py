@@ -3,6 +3,7 @@
 import time
 from importlib import import_module
 
+import laspy
 import numpy as np
 import pytest
 
@@ -17,8 +18,6 @@ FAST = {"ground": {"method": "none"}}
 
 class Slow:
     """Gives its items one by one, as laspy's data does, and never ends."""
-
-    xyz = POINTS
 
     def __len__(self):
         return 10**9
@@ -43,8 +42,8 @@ def structured():
 
 
 REFUSED = {
-    "laspy's data": (Slow, r"pass its \.xyz"),
-    "a list of laspy's data": (lambda: [Slow()], "items that are Slow"),
+    "items without an end": (Slow, "of type Slow"),
+    "a list of such": (lambda: [Slow()], "items that are Slow"),
     "a generator": (lambda: (row for row in POINTS), "pass a list of it"),
     "None": (lambda: None, "found None"),
     "a path": (lambda: "map.las", "files are read by"),
@@ -76,7 +75,9 @@ def test_what_is_no_cloud_is_refused_at_once(kind):
     assert len(str(refused.value)) < 400
 
 
-@pytest.mark.parametrize("kind", ["laspy's data", "a generator", "None", "four columns", "tensor"])
+@pytest.mark.parametrize(
+    "kind", ["items without an end", "a generator", "None", "four columns", "tensor"]
+)
 def test_the_estimator_refuses_at_once_too(kind):
     make, _ = REFUSED.get(kind, (Tensor, ""))
     with pytest.raises(InvalidPointsError, match="X: "):
@@ -84,14 +85,49 @@ def test_the_estimator_refuses_at_once_too(kind):
 
 
 @pytest.mark.parametrize(
-    "columns", [["x", "y", "z", "i"], ["z", "y", "x"], ["i", "x", "y", "z"]], ids="".join
+    "columns", [["x", "y", "z", "i"], ["z", "y", "x"], ["i", "X", "Y", "Z"]], ids="".join
 )
-def test_a_table_of_other_columns_is_refused(columns):
+def test_of_a_table_x_y_and_z_are_taken(columns):
     pytest.importorskip("pandas", reason="pandas is not installed")
-    points = np.column_stack([POINTS, POINTS[:, 0]])
-    frame = import_module("pandas").DataFrame(points[:, : len(columns)], columns=columns)
-    with pytest.raises(InvalidPointsError, match=r'pass table\[\["x", "y", "z"\]\]'):
-        clean(frame)
+    values = {"i": POINTS[:, 0], **dict(zip("xyz", POINTS.T, strict=True))}
+    frame = import_module("pandas").DataFrame({name: values[name.lower()] for name in columns})
+    result = clean(frame, FAST)
+    np.testing.assert_array_equal(result.labels, clean(POINTS, FAST).labels)
+    assert len(result.cleaned(frame)) == result.kept.sum()
+    np.testing.assert_array_equal(DynaHull().fit_predict(frame), DynaHull().fit_predict(POINTS))
+
+
+def test_data_of_laspy_is_taken_and_given():
+    las = laspy.create(point_format=3, file_version="1.4")
+    las.xyz = POINTS
+    las.intensity = np.arange(len(POINTS))
+    result = clean(las, FAST)
+    np.testing.assert_array_equal(result.labels, clean(las.xyz, FAST).labels)
+    cleaned = result.cleaned(las)
+    np.testing.assert_array_equal(cleaned.intensity, np.flatnonzero(result.kept))
+    np.testing.assert_array_equal(cleaned.xyz, las.xyz[result.kept])
+
+
+def test_a_tensor_is_taken_from_any_device():
+    """PyTorch's own way to numbers; a tensor on a GPU, or one that learns, has no other."""
+
+    class OnDevice(Tensor):
+        def detach(self):
+            return self
+
+        def cpu(self):
+            return self
+
+        def numpy(self):
+            return POINTS
+
+    np.testing.assert_array_equal(clean(OnDevice(), FAST).labels, clean(POINTS, FAST).labels)
+
+
+def test_arrays_and_lists_are_given_back():
+    result = clean(POINTS, FAST)
+    np.testing.assert_array_equal(result.cleaned(POINTS), POINTS[result.kept])
+    np.testing.assert_array_equal(result.cleaned(POINTS.tolist()), POINTS[result.indices])
 
 
 TAKEN = {

@@ -50,6 +50,16 @@ def test_so_is_a_cloud_of_tensors(open3d, points, kind):
 
 
 @pytest.mark.parametrize("make", [legacy, tensor])
+def test_it_is_given_back_without_its_ghosts(open3d, points, make):
+    cloud = make(open3d, points)
+    result = clean(cloud, PARAMETERS)
+    found = result.cleaned(cloud)
+    assert type(found) is type(cloud)
+    xyz = found.points if make is legacy else found.point.positions.numpy()
+    np.testing.assert_array_equal(np.asarray(xyz), points[result.indices])
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
 def test_evidence_is_weighed_of_clouds(open3d, points, make):
     result, expected = clean(make(open3d, points), "auto"), clean(points, "auto")
     np.testing.assert_array_equal(result.score, expected.score)

@@ -4,6 +4,8 @@ import pytest
 
 from pipeline.plan.machine import available_memory, memory_left
 
+pytestmark = pytest.mark.linux
+
 GIB = 1 << 30
 UNLIMITED = 9223372036854771712
 

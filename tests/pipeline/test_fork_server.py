@@ -5,6 +5,10 @@ import os
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.linux
+
 PREAMBLE = """
 import json, os, sys, time
 from pathlib import Path

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ def test_the_peak_holds_what_was_given_back():
     assert before + 32 * MIB < peak_memory() < before + size + 64 * MIB
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system has no /proc")
+@pytest.mark.linux
 def test_a_small_program_started_by_a_large_one_is_small():
     large = np.ones(32 * MIB)  # 256 MiB
     program = "from pipeline.plan.machine import peak_memory; print(peak_memory())"
@@ -56,7 +55,7 @@ print(before, kept, held())
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system has no /proc")
+@pytest.mark.linux
 def test_what_arrow_keeps_is_given_back(tmp_path):
     program = [sys.executable, "-c", GIVEN_BACK, str(tmp_path / "table.parquet")]
     done = subprocess.run(program, capture_output=True, check=True)

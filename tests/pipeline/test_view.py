@@ -6,7 +6,7 @@ import subprocess
 import sys
 from ctypes.util import find_library
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +18,13 @@ from pipeline.errors import MissingViewerError, OutputError
 from pipeline.outputs.reading import read_result
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.view import LABEL_COLOURS, density_colours, view_result
+from pipeline.view import (
+    LABEL_COLOURS,
+    density_colours,
+    open3d_cloud,
+    view_result,
+    view_with_open3d,
+)
 
 POINTS = np.random.default_rng(0).normal(size=(500, 3)) + 1e6
 POINTS[3] = np.nan
@@ -74,7 +80,7 @@ def test_every_kind_of_output_tells_the_same(tmp_path, known, suffix, files, wan
 
 
 def test_two_maps_tell_what_stays_and_what_goes(tmp_path, known):
-    points = read_result(result(tmp_path))
+    points = read_result(result(tmp_path, "output.labels=false"))
     assert points.density is None
     for found, expected in zip(by_place(points)[:2], by_place(known)[:2], strict=True):
         np.testing.assert_array_equal(found, expected)
@@ -172,7 +178,7 @@ def test_every_point_is_drawn_once_by_label_and_once_by_density(tmp_path, known)
 
 def test_without_rerun_one_line_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingViewerError, match=r"pip install 'dynahull-pipeline\[rerun\]'"):
+    with pytest.raises(MissingViewerError, match="needs Rerun: pip install"):
         view_result(tmp_path)
 
 
@@ -245,3 +251,23 @@ def test_the_window_shows_both_views(tmp_path):
     darkest, brightest = density_colours(np.array([1.0, 2.0]))
     assert drawn(right, darkest) > 100
     assert drawn(right, brightest) > 20
+
+
+def test_open3d_draws_the_same_points_by_label(known):
+    open3d = pytest.importorskip("open3d", reason="Open3D is missing", exc_type=ImportError)
+    cloud = open3d_cloud(open3d, known)
+    corner = known.xyz.min(axis=0)
+    np.testing.assert_allclose(np.asarray(cloud.points) + corner, known.xyz)
+    red = np.asarray(cloud.colors)[known.labels == Label.DYNAMIC]
+    np.testing.assert_allclose(red * 255, [LABEL_COLOURS[Label.DYNAMIC]] * len(red))
+
+
+def test_without_a_screen_or_open3d_one_line_says_so(tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setitem(sys.modules, "open3d", ModuleType("open3d"))
+    with pytest.raises(MissingViewerError, match="needs a screen"):
+        view_with_open3d(tmp_path)
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingViewerError, match="view needs Open3D: pip install"):
+        view_with_open3d(tmp_path)

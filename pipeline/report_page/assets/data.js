@@ -31,7 +31,10 @@ function kindOf(point) {
 }
 
 const KINDS = ["static", "removed", "ground", "other"];
-const COLOURS = [[43, 108, 163], [213, 94, 0], [154, 147, 132], [204, 121, 167]];
+const DARK = window.matchMedia("(prefers-color-scheme: dark)").matches;
+const COLOURS = DARK ? [[91, 155, 208], [255, 133, 51], [122, 117, 106], [204, 121, 167]]
+  : [[43, 108, 163], [213, 94, 0], [154, 147, 132], [204, 121, 167]];
+const PAPER = DARK ? [24, 32, 42] : [255, 255, 255];
 
 function metres(value) {
   const digits = Math.abs(value) < 10 ? 2 : Math.abs(value) < 1000 ? 1 : 0;

@@ -91,8 +91,10 @@
     byId("removed-share").textContent = `points, ${share.toFixed(1)} % of the map,`;
     byId("removed-kind").textContent = isOwn ? "removed in this run" : "would be removed";
     const least = isOwn ? facts.min_percent : percentage * facts.min_ratio;
-    byId("settings").textContent = byScore ? `--set removal.confidence=${rounded(value)}`
-      : `--set removal.min_percent=${rounded(least)} --set removal.max_percent=${rounded(percentage)}`;
+    const wanted = byScore ? `removal.confidence=${rounded(value)}`
+      : `removal.min_percent=${rounded(least)} --set removal.max_percent=${rounded(percentage)}`;
+    const settings = byScore && facts.apply ? `--confidence ${rounded(value)}` : `--set ${wanted}`;
+    byId("settings").textContent = facts.apply ? `${facts.apply} ${settings}` : settings;
     drawCuts(percentage);
     draw();
   }
@@ -139,29 +141,107 @@
     ? `${written(facts.outside)} of the sampled points lie far away from all others and are not shown.`
     : "";
 
+  // The box that is shown in 3D, and the sliders that set it.
+  const ends = [facts.low.map(Number), facts.low.map((low, axis) => low + facts.span[axis])];
+  const shown = ends.map((corner) => [...corner]);
+  const clips = [...document.querySelectorAll("[data-clip]")].map((input) =>
+    ({ input, axis: "xyz".indexOf(input.dataset.clip), end: Number(input.dataset.end) }));
+  function clip() {
+    for (const { input, axis, end } of clips) {
+      input.value = Math.round(1000 * (shown[end][axis] - facts.low[axis]) / (facts.span[axis] || 1));
+      input.parentElement.lastElementChild.textContent =
+        `${metres(shown[0][axis])} to ${metres(shown[1][axis])}`;
+    }
+    const cut = ["x", "y", "z"].filter((name, axis) =>
+      shown[0][axis] > ends[0][axis] || shown[1][axis] < ends[1][axis]);
+    byId("clipped").textContent = !cut.length ? "all is shown"
+      : cut.join() === "z" ? `z up to ${metres(shown[1][2])}` : `in ${cut.join(", ")}`;
+    if (scene) scene.clip(...shown);
+  }
+  for (const { input, axis, end } of clips) {
+    input.addEventListener("input", () => {
+      const share = Number(input.value) / 1000;
+      const value = share === end ? ends[end][axis] : facts.low[axis] + share * facts.span[axis];
+      shown[end][axis] = end ? Math.max(value, shown[0][axis]) : Math.min(value, shown[1][axis]);
+      clip();
+    });
+  }
+  function unclip() {
+    ends.forEach((corner, end) => { shown[end] = [...corner]; });
+    clip();
+  }
+  byId("unclip").addEventListener("click", unclip);
+  // A ceiling hides what is under it: a layer high above the middle of the ground, with many points.
+  function belowCeiling() {
+    const step = Math.max(0.1, facts.span[2] / 400);
+    const bins = new Uint32Array(Math.ceil(facts.span[2] / step) + 1);
+    const ground = [];
+    for (let point = 0; point < facts.count; point++) {
+      const z = (report.places[3 * point + 2] / 65535) * facts.span[2];
+      if (kindOf(point) === 2) ground.push(z);
+      else bins[Math.floor(z / step)]++;
+    }
+    if (!ground.length) return null;
+    const floor = ground.sort((one, other) => one - other)[ground.length >> 1];
+    const first = Math.ceil((floor + 1.9) / step);
+    let layer = -1;
+    for (let bin = first; bin < bins.length; bin++) if (layer < 0 || bins[bin] > bins[layer]) layer = bin;
+    const beneath = bins.slice(Math.ceil((floor + 1) / step), layer - 1);
+    const usual = beneath.length ? beneath.reduce((sum, each) => sum + each, 0) / beneath.length : 0;
+    if (layer < 0 || bins[layer] < 0.03 * facts.count || bins[layer] < 2.5 * usual) return null;
+    return facts.low[2] + (layer - 1) * step - 0.1;
+  }
+  const ceiling = belowCeiling();
+  if (ceiling !== null) shown[1][2] = ceiling;
+
+  if (facts.files.length) {
+    byId("file").addEventListener("change", (event) => {
+      const file = facts.files[event.target.value];
+      if (!file) return;
+      unclip();
+      if (scene) scene.visit(file.low, file.high);
+    });
+  }
+
   function visit(place) {
+    for (let axis = 0; axis < 3; axis++) {  // none of it is hidden
+      if (place.low[axis] < shown[0][axis]) shown[0][axis] = ends[0][axis];
+      if (place.high[axis] > shown[1][axis]) shown[1][axis] = Math.min(place.high[axis], ends[1][axis]);
+    }
+    clip();
+    for (const button of document.querySelectorAll("[data-place]")) {
+      button.classList.toggle("chosen", Number(button.dataset.place) === place.number);
+    }
     if (scene) scene.visit(place.low, place.high);
     const axis = 1 - section.across;
     section.place = ((place.low[axis] + place.high[axis]) / 2 - facts.low[axis]) / facts.span[axis];
     byId("place").value = Math.round(1000 * section.place);
     drawSection();
-    byId(scene ? "scene" : "section-before").closest("section").scrollIntoView();
+    if (!scene) byId("section-before").closest("section").scrollIntoView();
   }
   for (const button of document.querySelectorAll("[data-place]")) {
     button.addEventListener("click", () => visit(found[button.dataset.place - 1]));
   }
 
-  const inScene = ["colour", "size", "from-above", "from-side"];
+  byId("swipe").addEventListener("input", (event) => {
+    const share = Number(event.target.value) / 1000;
+    byId("swipe-line").hidden = share >= 1;
+    byId("swipe-line").style.left = `${100 * share}%`;
+    if (scene) scene.swipe(share);
+  });
   if (scene) {
+    scene.pin(found.slice(0, 30));
+    byId("whole").addEventListener("click", scene.whole);
     byId("colour").addEventListener("change", (event) => scene.colour(Number(event.target.value)));
     byId("size").addEventListener("input", (event) => scene.size(Number(event.target.value)));
     byId("from-above").addEventListener("click", scene.fromAbove);
     byId("from-side").addEventListener("click", scene.fromSide);
   }
   for (const control of document.querySelectorAll("input, select, button")) {
-    control.disabled = !scene && inScene.includes(control.id);
+    control.disabled = !scene && control.closest(".in-scene") !== null;
   }
   direct(section.across);
+  clip();
   reset();
   let width = 0;
   new ResizeObserver(() => {

@@ -13,6 +13,11 @@ const VERTEX_SHADER = `
   uniform vec4 shown;
   uniform vec3 colours[4];
   uniform vec2 heights;
+  uniform vec3 from;
+  uniform vec3 to;
+  uniform float swipe;
+  uniform vec2 depths;
+  uniform vec3 paper;
   varying vec3 tone;
 
   vec3 ramp(float t) {  // viridis, as a polynomial
@@ -46,7 +51,12 @@ const VERTEX_SHADER = `
     }
     if (mode != 0 && mode != 4 && kind == 1) tone = mix(tone, colours[1], 0.35);
     vec4 seen = modelViewMatrix * vec4(position, 1.0);
-    gl_Position = visible > 0.5 ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
+    // What is far fades, so that what is near stands before it; what goes stands out anyway.
+    if (kind != 1) tone = mix(tone, paper, 0.6 * smoothstep(depths.x, depths.y, -seen.z));
+    vec4 placed = projectionMatrix * seen;
+    if (kind == 1 && placed.x > swipe * placed.w) visible = 0.0;
+    if (any(lessThan(position, from)) || any(greaterThan(position, to))) visible = 0.0;
+    gl_Position = visible > 0.5 ? placed : vec4(2.0, 2.0, 2.0, 1.0);
     gl_PointSize = pixels * size * (kind == 1 ? 1.5 : 1.0);
   }`;
 
@@ -65,7 +75,8 @@ const BOX_VERTEX_SHADER = `
     gl_PointSize = 2.0 * pixels;
   }`;
 
-const BOX_FRAGMENT_SHADER = "void main() { gl_FragColor = vec4(0.11, 0.15, 0.20, 1.0); }";
+const BOX_FRAGMENT_SHADER =
+  `void main() { gl_FragColor = vec4(${DARK ? "0.89, 0.91, 0.93" : "0.11, 0.15, 0.20"}, 1.0); }`;
 
 // The edges of a box as dots, an axis after the other.
 function boxDots(low, high, number) {
@@ -98,7 +109,7 @@ function makeScene() {
     return null;
   }
   renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
-  renderer.setClearColor(0xffffff, 1);
+  renderer.setClearColor(new THREE.Color(...PAPER.map((part) => part / 255)), 1);
   const { facts } = report;
   const [width, depth, height] = facts.span;
   const centre = [width / 2, depth / 2, height / 2];
@@ -125,6 +136,11 @@ function makeScene() {
     shown: { value: [1, 1, 1, 1] },
     colours: { value: COLOURS.map((each) => new THREE.Color(...each.map((part) => part / 255))) },
     heights: { value: [-height / 2, height / 2] },
+    from: { value: new THREE.Vector3(-1e9, -1e9, -1e9) },
+    to: { value: new THREE.Vector3(1e9, 1e9, 1e9) },
+    swipe: { value: 2 },
+    depths: { value: [0, 1] },
+    paper: { value: new THREE.Color(...PAPER.map((part) => part / 255)) },
   };
   const material = new THREE.ShaderMaterial({
     uniforms, vertexShader: VERTEX_SHADER, fragmentShader: FRAGMENT_SHADER,
@@ -149,8 +165,11 @@ function makeScene() {
   let asked = false;
   const draw = () => {
     asked = false;
+    const distance = camera.position.distanceTo(controls.target);
+    uniforms.depths.value = [distance - 0.3 * radius, distance + 1.2 * radius];
     renderer.render(scene, camera);
-    showScale();
+    showScale(distance);
+    showPins();
   };
   const ask = () => {
     if (!asked) requestAnimationFrame(draw);
@@ -158,11 +177,70 @@ function makeScene() {
   };
   controls.addEventListener("change", ask);
 
-  function showScale() {
-    const distance = camera.position.distanceTo(controls.target);
-    const across = 2 * distance * Math.tan((camera.fov * Math.PI) / 360) * camera.aspect;
-    document.getElementById("scale").textContent = `about ${metres(across)} from left to right`;
+  function showScale(distance) {
+    const scale = document.getElementById("scale");
+    const pixel = 2 * distance * Math.tan((camera.fov * Math.PI) / 360) / canvas.clientHeight;
+    const length = roundBelow(150 * pixel);
+    scale.firstElementChild.style.width = `${(length / pixel).toFixed(0)}px`;
+    scale.lastElementChild.textContent = metres(length);
   }
+  // Where a place of the map is on the canvas, in pixels; null behind the camera.
+  const placed = new THREE.Vector3();
+  function onCanvas(x, y, z) {
+    placed.set(x, y, z).project(camera);
+    if (placed.z > 1) return null;
+    return [(placed.x + 1) / 2 * canvas.clientWidth, (1 - placed.y) / 2 * canvas.clientHeight];
+  }
+  const isClipped = (x, y, z) => [x, y, z].some((value, axis) =>
+    value < uniforms.from.value.getComponent(axis) || value > uniforms.to.value.getComponent(axis));
+  let pins = [];
+  function showPins() {
+    for (const { span, at } of pins) {
+      const pixel = onCanvas(...at);
+      span.hidden = !pixel || isClipped(...at) || !report.state.removed;
+      if (pixel) span.style.translate = `${pixel[0].toFixed(0)}px ${pixel[1].toFixed(0)}px`;
+    }
+  }
+  function pin(places) {
+    pins = places.map((place) => {
+      const span = document.createElement("span");
+      span.textContent = place.number;
+      const at = place.low.map((low, axis) => (low + place.high[axis]) / 2 - facts.low[axis] - centre[axis]);
+      return { span, at };
+    });
+    document.getElementById("pins").replaceChildren(...pins.map(({ span }) => span));
+  }
+  // The nearest point to the camera within some pixels of a click.
+  function pick(x, y) {
+    let best = -1, least = Infinity;
+    const behind = camera.position.clone();
+    for (let i = 0; i < count; i++) {
+      const at = [position[3 * i], position[3 * i + 1], position[3 * i + 2]];
+      if (!report.state[KINDS[kindOf(i)]] || isClipped(...at)) continue;
+      const pixel = onCanvas(...at);
+      if (!pixel) continue;
+      const off = Math.hypot(pixel[0] - x, pixel[1] - y);
+      if (off > 7) continue;
+      const far = Math.hypot(at[0] - behind.x, at[1] - behind.y, at[2] - behind.z) + off * radius / 100;
+      if (far < least) [best, least] = [i, far];
+    }
+    if (best < 0) return null;
+    const xyz = [0, 1, 2].map((axis) => position[3 * best + axis] + centre[axis] + facts.low[axis]);
+    return { xyz, kind: KINDS[kindOf(best)] };
+  }
+  let pressed = null;
+  canvas.addEventListener("pointerdown", (event) => { pressed = [event.clientX, event.clientY]; });
+  canvas.addEventListener("pointerup", (event) => {
+    if (!pressed || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 3) return;
+    const box = canvas.getBoundingClientRect();
+    const found = pick(event.clientX - box.left, event.clientY - box.top);
+    const told = document.getElementById("picked");
+    told.hidden = !found;
+    if (found) {
+      const written = found.xyz.map((value) => value.toFixed(2)).join(", ");
+      told.textContent = `${written} m: ${found.kind === "other" ? "not scored" : found.kind}`;
+    }
+  });
   // Some of the points stand for all; the middle of nearly all of them is what the view turns about.
   const some = [];
   for (let i = 0; i < count; i += Math.ceil(count / 4000)) {
@@ -197,7 +275,7 @@ function makeScene() {
     ask();
   }
   // From where one looks now, but at a box, and so near that it fills the view.
-  function visit(from, to) {
+  function visit(from, to, framed = true) {
     const [low, high] = [from, to].map((corner) =>
       corner.map((value, axis) => value - facts.low[axis] - centre[axis]));
     const toward = camera.position.clone().sub(controls.target).normalize();
@@ -207,7 +285,7 @@ function makeScene() {
     camera.position.copy(controls.target).addScaledVector(toward, Math.max(distance, 3));
     controls.update();
     box.geometry.setAttribute("position", new THREE.BufferAttribute(boxDots(low, high, 200), 3));
-    box.visible = true;
+    box.visible = framed;
     ask();
   }
   function turn(around, up) {
@@ -259,6 +337,16 @@ function makeScene() {
     },
     colour(mode) { uniforms.mode.value = mode; ask(); },
     size(value) { uniforms.size.value = value; ask(); },
+    // What lies between two corners is shown, in the map's coordinates.
+    clip(low, high) {
+      const local = (corner) => corner.map((value, axis) => value - facts.low[axis] - centre[axis]);
+      uniforms.from.value.fromArray(local(low));
+      uniforms.to.value.fromArray(local(high));
+      ask();
+    },
+    swipe(share) { uniforms.swipe.value = share >= 1 ? 2 : 2 * share - 1; ask(); },
+    pin,
+    whole() { box.visible = false; oblique(); },
     fromAbove() { lookFrom(0, -0.001, 1); },
     fromSide() { if (depth > width) lookFrom(1, 0, 0.02); else lookFrom(0, -1, 0.02); },
   };

@@ -3,6 +3,12 @@
 
 const MARGIN = { left: 58, right: 10, top: 8, bottom: 38 };
 
+// The largest of 1, 2 and 5 times a power of ten that is not above a number.
+function roundBelow(value) {
+  const size = 10 ** Math.floor(Math.log10(value));
+  return size * [5, 2, 1].find((each) => each * size <= value * 1.0001);
+}
+
 // Round numbers between two others, about as many as fit.
 function ticksBetween(low, high, count) {
   const rough = (high - low) / Math.max(count, 1);
@@ -40,7 +46,7 @@ class View {
     this.canvas.style.height = `${tall}px`;
     const context = this.canvas.getContext("2d");
     context.scale(ratio, ratio);
-    context.fillStyle = "#fff";
+    context.fillStyle = `rgb(${PAPER.join(" ")})`;
     context.fillRect(0, 0, wide, tall);
     this.points(context, axes, slice, width, height, scale, ratio);
     this.frame(context, low, span, width, height, scale, axes);
@@ -73,14 +79,14 @@ class View {
     const shade = (count) => 1 - 0.62 * Math.exp(-count / 2.5);
     const put = (at, colour, weight) => {
       for (let part = 0; part < 3; part++) {
-        image.data[4 * at + part] = Math.round(255 + (colour[part] - 255) * weight);
+        image.data[4 * at + part] = Math.round(PAPER[part] + (colour[part] - PAPER[part]) * weight);
       }
       image.data[4 * at + 3] = 255;
     };
     const blend = (at, weight) => {
       const isFree = !image.data[4 * at + 3];
       for (let part = 0; part < 3; part++) {
-        const below = isFree ? 255 : image.data[4 * at + part];
+        const below = isFree ? PAPER[part] : image.data[4 * at + part];
         image.data[4 * at + part] = Math.round(below + (COLOURS[1][part] - below) * weight);
       }
       image.data[4 * at + 3] = 255;
@@ -110,10 +116,10 @@ class View {
   frame(context, low, span, width, height, scale, axes) {
     const names = ["x", "y", "z"];
     const right = MARGIN.left + width, bottom = MARGIN.top + height;
-    context.strokeStyle = "#8794a1";
+    context.strokeStyle = DARK ? "#71808e" : "#8794a1";
     context.lineWidth = 1;
     context.strokeRect(MARGIN.left - 0.5, MARGIN.top - 0.5, width + 1, height + 1);
-    context.fillStyle = "#5a6875";
+    context.fillStyle = DARK ? "#9aa8b5" : "#5a6875";
     context.font = '11px system-ui, "Liberation Sans", sans-serif';
     const write = (value) => (value || 0).toLocaleString("en-GB", { maximumFractionDigits: 2 });
     context.textAlign = "center";

@@ -75,3 +75,20 @@ def test_it_is_read_on_a_telephone_as_well(place, chromium, width):
     assert f"report of {datetime.fromtimestamp(begun, UTC):%Y-%m-%d %H:%M} UTC" in seen
     page.close()
     assert heard == []
+
+
+def test_a_map_has_its_picture_and_the_last_nights_are_drawn(place):
+    picture = "data:image/png;base64,iVBORw0KGgo="
+    icon = f'<link rel="icon" href="{picture}">'
+    place.write("incoming/a.npy", "one")
+    place.cleaner.after = lambda request: (request.output / "report.html").write_text(icon)
+    place.night()
+    place.cleaner.after = lambda request: None
+    place.write("incoming/bad.npy", "corrupt")
+    summary = place.night()
+    text = (place.output / "index.html").read_text()
+    assert picture in Page(text).links
+    assert "The last 2 nights" in text
+    assert text.count('class="cleaned"') == 2
+    assert Page(text).open == []
+    assert summary.to_text().endswith("; failed: bad.npy")

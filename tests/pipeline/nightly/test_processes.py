@@ -9,10 +9,14 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 from pipeline.nightly import one_map
 from pipeline.nightly.one_map import Cleaner
 from pipeline.nightly.results import tasks_done
 from pipeline.outputs.folder_lock import folder_is_locked, locked_folder
+
+pytestmark = pytest.mark.linux
 
 COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()", "nightly"]
 PATIENCE = 300.0

@@ -39,6 +39,14 @@ def cleaned(tmp_path_factory):
     np.save(folder / "map.npy", street())
     (folder / "map.npy").rename(folder / NASTY_NAME)
     outputs = {}
+    hall = street()
+    ceiling = np.column_stack([hall[:9_000, 0], hall[:9_000, 1], np.full(9_000, 3.0)])
+    for name, part in (("east", [*hall[hall[:, 0] > 10]]), ("west", [*hall[hall[:, 0] <= 10]])):
+        np.save(folder / f"{name}.npy", np.array(part + [*ceiling[name == "east" :: 2]]))
+    configuration = load_configuration(None, ["neighbours.k=30", "clustering.count=3"])
+    files = [folder / "east.npy", folder / "west.npy"]
+    observer = StageObserver(LogDisplay())
+    outputs["hall"] = Path(run(files, folder / "hall", configuration, observer).output)
     for name, tile, more in (
         ("whole", 1_000_000, []),
         ("tiled", 5_000, []),

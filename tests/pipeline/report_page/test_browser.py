@@ -162,7 +162,7 @@ def test_without_webgl_it_says_so_and_the_rest_works(opened, dynamic):
 
 
 @pytest.mark.parametrize("name", ["tiled", "judged tiled"])
-@pytest.mark.parametrize("width", [360, 820, 1280])
+@pytest.mark.parametrize("width", [360, 390, 820, 1440])
 def test_nothing_sticks_out_at_the_side(opened, width, name):
     page = opened(name, width=width)
     settle(page)
@@ -179,13 +179,15 @@ def test_by_evidence_the_slider_is_the_confidence(opened, cleaned, name):
     page.fill("#percentage", "0.15")
     assert removed_count(page) == report["counts"]["dynamic"] + report["uncertain_points"]
     assert "would be removed" in page.inner_text(".answer")
-    assert page.inner_text("#settings") == "--set removal.confidence=0.15"
+    assert page.inner_text("#settings").endswith(
+        f"{name}' --confidence 0.15" if " " in name else f"{name} --confidence 0.15"
+    )
     assert ink(page, "top-before")[1] > before
     page.fill("#percentage", "0.95")
     assert removed_count(page) < report["counts"]["dynamic"]
     page.click("#reset")
     assert removed_count(page) == report["counts"]["dynamic"]
-    assert page.inner_text("#settings") == "--set removal.confidence=0.3"
+    assert page.inner_text("#settings").startswith("dynahull-pipeline apply ")
     assert ink(page, "top-before")[1] == before
     assert page.heard == []
 
@@ -222,4 +224,85 @@ def test_without_webgl_a_place_is_shown_in_the_sections(opened):
     before = page.inner_text("#place-value")
     page.click('[data-place="1"]')
     assert page.inner_text("#place-value") != before
+    assert page.heard == []
+
+
+@pytest.mark.parametrize("width", [390, 1440])
+def test_the_view_and_the_places_are_above_the_fold(opened, width):
+    page = opened("judged", width=width)
+    box = page.locator("#scene").bounding_box()
+    assert box["y"] < 200
+    assert box["y"] + box["height"] < 900
+    if width > 820:
+        assert page.locator('[data-place="1"]').bounding_box()["y"] < 300
+
+
+def test_the_swipe_shows_what_is_left_beside_what_was_there(opened):
+    page = opened("judged")
+    before = ink(page, "scene-canvas")
+    page.fill("#swipe", "500")
+    half = ink(page, "scene-canvas")[1]
+    assert 0 < half < before[1]
+    page.fill("#swipe", "0")
+    assert ink(page, "scene-canvas")[1] == 0
+    assert page.is_visible("#swipe-line")
+    page.fill("#swipe", "1000")
+    assert ink(page, "scene-canvas") == before
+    assert not page.is_visible("#swipe-line")
+
+
+def test_the_clip_box_hides_what_is_outside_of_it(opened):
+    page = opened()
+    whole = ink(page, "scene-canvas")[0]
+    page.click(".clip summary")
+    page.fill('[data-clip="z"][data-end="1"]', "500")
+    low = ink(page, "scene-canvas")[0]
+    page.fill('[data-clip="x"][data-end="0"]', "900")
+    corner = ink(page, "scene-canvas")[0]
+    assert 0 < corner < low < whole
+    page.click("#unclip")
+    assert ink(page, "scene-canvas")[0] == whole
+    assert page.inner_text("#clipped") == "all is shown"
+
+
+def test_a_ceiling_is_hidden_at_first(opened, cleaned):
+    assert opened().inner_text("#clipped") == "all is shown"  # a street
+    page = opened("hall")
+    assert page.inner_text("#clipped").startswith("z up to 2.")
+
+
+def test_a_click_tells_where_a_point_is(opened):
+    page = opened()
+    page.click("#from-above")
+    settle(page)
+    box = page.locator("#scene-canvas").bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    x, y, z = (float(part) for part in page.inner_text("#picked").split(" m: ")[0].split(", "))
+    assert abs(x - 10) < 1.5
+    assert abs(y - 3) < 1.5
+    assert -0.1 < z < 3.1
+
+
+def test_of_many_files_each_is_a_choice_away(opened):
+    page = opened("hall")
+    assert page.locator("#file option").all_inner_texts() == ["a file", "east.npy", "west.npy"]
+    picture = "() => document.getElementById('scene-canvas').toDataURL()"
+    seen = set()
+    for choice in ("0", "1"):
+        page.select_option("#file", choice)
+        settle(page)
+        seen.add(page.evaluate(picture))
+    assert len(seen) == 2
+
+
+def test_a_dark_page_for_those_who_want_one(opened):
+    page = opened("judged")
+    light, _ = ink(page, "top-before")
+    page.emulate_media(color_scheme="dark")
+    page.reload()
+    page.wait_for_selector("html[data-ready=yes]")
+    settle(page)
+    colour = "() => getComputedStyle(document.body).backgroundColor"
+    assert page.evaluate(colour) == "rgb(16, 22, 29)"
+    assert ink(page, "top-before")[0] > 1.5 * light  # the paper is ink, then
     assert page.heard == []
