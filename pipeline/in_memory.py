@@ -20,6 +20,7 @@ from pipeline.places import DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
+from pipeline.scan_numbers import ScanSource, find_scans
 from tiling.collection import MapCollection
 from tiling.resolution import coarse_step_notes, typical_place
 
@@ -35,8 +36,10 @@ def clean_in_memory(
     observer: StageObserver,
 ) -> CleanedMap:
     """Clean a map of one tile, and write its results."""
+    output, removal = configuration.output, configuration.removal
+    source = find_scans(collection, configuration, observer) if removal.weighs_evidence else None
     observer.stage("reading", collection.point_count)
-    points, classes, unwanted = _read(collection, configuration.input, observer)
+    points, classes, unwanted, scan = _read(collection, configuration.input, source, observer)
     count = int(np.count_nonzero(unwanted & valid_points(points)))
     warn_of_left_out(count, configuration.input, observer)
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
@@ -47,10 +50,10 @@ def clean_in_memory(
         configuration.method(),
         classification=classes if collection.has_classification else None,
         left_out=unwanted if count else None,
+        scan=scan,
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
-    output, removal = configuration.output, configuration.removal
     decision, views = None, None
     if removal.weighs_evidence:
         sums = DecisionSums.of(points, result.score, result.reason, removal.confidence)
@@ -73,21 +76,28 @@ def clean_in_memory(
         result.clusters,
         decision,
         views,
+        source=source,
     )
 
 
 def _read(
-    collection: MapCollection, parameters: InputParameters, observer: StageObserver
-) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return the points of a map, their classes, and which of them are left out."""
+    collection: MapCollection,
+    parameters: InputParameters,
+    source: ScanSource | None,
+    observer: StageObserver,
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_], NDArray[np.int32] | None]:
+    """Return the points of a map, their classes, which of them are left out, and their scans."""
     count = collection.point_count
     points, classes = np.empty((count, 3)), np.zeros(count, np.uint8)
     unwanted = np.zeros(count, np.bool_)
-    for _, batch in collection.batches():
+    scan = None if source is None else np.empty(count, np.int32)
+    for file, batch in collection.batches():
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         points[rows] = batch.xyz
         if batch.classification is not None:
             classes[rows] = batch.classification
         unwanted[rows] = left_out(batch, parameters)
+        if source is not None and scan is not None:
+            scan[rows] = source.numbers(collection, file, batch)
         observer.advance(len(batch.xyz))
-    return points, classes, unwanted
+    return points, classes, unwanted, scan

@@ -60,7 +60,9 @@ def clean_in_tiles(
             read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
         scores = kept_scores(job)
         write_maps(collection, output, labels, scores, places, observer, in_parts, read)
-    return CleanedMap(labels, cluster, density, score, counts, clusters, decision, views, tiles)
+    return CleanedMap(
+        labels, cluster, density, score, counts, clusters, decision, views, tiles, job.scan_source
+    )
 
 
 def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision | None) -> Views:

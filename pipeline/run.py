@@ -23,6 +23,7 @@ from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views, render_page
+from pipeline.scan_numbers import check_time
 from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work
@@ -74,6 +75,7 @@ def run(
         raise MissingClassificationError(
             f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
         )
+    check_time(collection, configuration)
     begun = (folder / WORK_FOLDER).exists() and not fresh
     one_tile = is_one_tile(collection, configuration, begun=begun)
     if one_tile:
@@ -113,6 +115,7 @@ def run(
             cleaned.counts,
             cleaned.clusters,
             cleaned.decision,
+            cleaned.source,
             names,
             observer,
         )

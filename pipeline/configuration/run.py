@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from dynahull.labels import Label
@@ -158,9 +158,28 @@ class InputParameters(BaseModel):
     )
 
 
+def _switch(value: Any) -> Any:
+    """Return a word in place of what YAML takes it for: `off` is false there."""
+    return "off" if value is False else value
+
+
+class EvidenceParameters(BaseModel):
+    """What `removal.decision: auto` knows beside the points."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    time: Annotated[str, Field(min_length=1), BeforeValidator(_switch)] = Field(
+        "auto",
+        description="When points were seen. `auto`: by a field of scan numbers or times, or by the "
+        "order of the rows, where one surely tells; a field by its name: by that one; `off`: not "
+        "asked. See docs/method.md.",
+    )
+
+
 class Configuration(MethodParameters):
     """Everything a run can be told: the sections of the method, and those of the product."""
 
+    evidence: EvidenceParameters = EvidenceParameters()
     input: InputParameters = InputParameters()
     tiling: TilingParameters = TilingParameters()
     execution: ExecutionParameters = ExecutionParameters()

@@ -16,6 +16,7 @@ from pipeline.outputs.folder import OutputNames
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
+from pipeline.scan_numbers import ScanSource
 from pipeline.showing import printable
 from pipeline.units import of_map
 from tiling.collection import MapCollection
@@ -103,6 +104,8 @@ class RunReport(BaseModel):
     warnings : list of str
     system : str
         Coordinate reference system and unit of the map, in words.
+    time : str or None
+        What told when points were seen, in words; None where the evidence was not asked.
     configuration : dict
         As resolved; the same as in `config.yaml`.
     """
@@ -126,6 +129,7 @@ class RunReport(BaseModel):
     peak_memory_bytes: int
     warnings: list[FileName]
     system: str = ""
+    time: str | None = None
     configuration: dict[str, Any]
 
     @classmethod
@@ -138,6 +142,7 @@ class RunReport(BaseModel):
         counts: dict[str, int],
         clusters: Sequence[ClusterSummary],
         decision: Decision | None,
+        source: ScanSource | None,
         names: OutputNames,
         observer: StageObserver,
     ) -> "RunReport":
@@ -165,6 +170,7 @@ class RunReport(BaseModel):
             peak_memory_bytes=peak_memory(),
             warnings=list(observer.warnings),
             system=of_map(collection, configuration.input),
+            time=None if decision is None else str(source or "none"),
             configuration=configuration.model_dump(mode="json"),
         )
 
@@ -198,6 +204,8 @@ class RunReport(BaseModel):
         ]
         if not self.system.startswith("none, metres"):
             lines.append(f"coordinates: {self.system}")
+        if self.time not in (None, "none"):
+            lines.append(f"time: {self.time}")
         if self.clusters:
             lines.append(f"{'cluster':>9}{'points':>14}{'R_i':>9}{'threshold':>14}{'removed':>12}")
         for cluster in self.clusters:

@@ -22,6 +22,7 @@ from pipeline.outputs.modes import PointScores, mode_of
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views
+from pipeline.scan_numbers import ScanSource
 from tiling.collection import MapCollection
 from tiling.formats import PointBatch, open_map
 from tiling.formats.points import DEFAULT_BATCH
@@ -48,6 +49,8 @@ class CleanedMap:
         Gives what the report shows; None where none is wanted.
     tiles : TileWork or None
         What they took; None where no report is wanted, or the map is one tile.
+    source : ScanSource or None
+        What told when points were seen; None where nothing did, or nobody asked.
     """
 
     labels: NDArray[np.uint8]
@@ -59,6 +62,7 @@ class CleanedMap:
     decision: Decision | None
     views: Callable[[], Views] | None = None
     tiles: TileWork | None = None
+    source: ScanSource | None = None
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dynahull.clustering import Clusters
 from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
+from pipeline.scan_numbers import ScanSource
 from pipeline.units import open_collection
-from pipeline.work.files import read_arrays, read_sealed, write_sealed
+from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunk_store import ChunkStore
@@ -23,9 +27,11 @@ JOB_FILE = "job.json"
 CLUSTERS_FILE = "clusters.arrays"
 CHUNKS_FOLDER = "tiles"
 DECODED_FILE = "map.decoded"
+SCANS_FILE = "scans.json"
 
-PLANNING, FITTING, CREATING = "plan", "clustering", "outputs"
-"""Steps that are about the whole map and are not shared out: tiles, clusters, outputs in parts."""
+TIMING, PLANNING, FITTING, CREATING = "times", "plan", "clustering", "outputs"
+"""Steps that are about the whole map and are not shared out: what tells when points were seen,
+tiles, clusters, outputs in parts."""
 
 ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -116,6 +122,20 @@ class Job:
         """The model of the whole map; there once it is fitted."""
         return Clusters(*read_arrays(self.root / CLUSTERS_FILE, "centroids"))
 
+    @cached_property
+    def scan_source(self) -> ScanSource | None:
+        """What tells the scan of each point, if anything; there once that is looked for."""
+        path = self.root / SCANS_FILE
+        stored = read_sealed(path)["source"] if path.exists() else None
+        return None if stored is None else ScanSource.model_validate(stored)
+
+    @property
+    def scans(self) -> NDArray[np.int32] | None:
+        """The scan number of every row, -1 where not known, in a file; None where nothing tells."""
+        if self.scan_source is None:
+            return None
+        return open_rows(self.rows_path("scan"), np.int32)
+
     @property
     def needs_classes(self) -> bool:
         """Whether the ground is told by the classes of a LAS map."""
@@ -133,7 +153,7 @@ class Job:
         return undone and not all(has_chunk(self.store, tile) for tile in tiles)
 
     def rows_path(self, name: str) -> Path:
-        """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""
+        """Return the file of one value a row: `label`, `cluster`, `density`, `class` or `scan`."""
         return self.root / f"{name}.rows"
 
 

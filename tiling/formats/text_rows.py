@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,15 @@ class TextRows:
             rows.append(b"%b %b%b" % (content, more, row[len(content) :].lstrip(b" \t")))
         bounds = np.cumsum([0, *map(len, rows)], dtype=np.int64)
         return TextRows(np.frombuffer(b"".join(rows), np.uint8), bounds[:-1], bounds[1:])
+
+    def column(self, number: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Return a value of each row, counted from 0: whole numbers as such, others as float64."""
+        text = self.text.tobytes()
+        bounds = zip(self.starts, self.stops, strict=True)
+        values = np.array([float(text[a:b].split()[number]) for a, b in bounds], dtype=np.float64)
+        whole = dtype.kind in "iu" and bool(np.isfinite(values).all())
+        with np.errstate(invalid="ignore"):
+            return values.astype(dtype) if whole else values
 
     def tobytes(self) -> bytes:
         """Return the rows' text, one row after the other."""

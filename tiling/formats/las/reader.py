@@ -99,6 +99,25 @@ class LasReader(MapReader):
         xyz, classes = coordinates(records, header), _classes(records, header)
         return PointBatch(first_row, xyz, records, classes, _withheld(records, header))
 
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one field of some points, as laspy takes them apart; see `MapReader.values`."""
+        from laspy.point.record import PackedPointRecord  # noqa: PLC0415 (slow to import)
+
+        return np.asarray(PackedPointRecord.from_buffer(records.data, self._point_format)[name])
+
+    @cached_property
+    def _point_format(self) -> Any:
+        from laspy import LasHeader as Header  # noqa: PLC0415
+        from laspy.errors import LaspyException  # noqa: PLC0415
+
+        with self._header.path.open("rb") as file:
+            try:
+                return Header.read_from(file).point_format
+            except LaspyException as error:
+                raise MapFormatError(
+                    self._header.path, "fields that laspy can take apart", str(error)
+                ) from error
+
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
         if self._compression is None:
