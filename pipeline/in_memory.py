@@ -43,7 +43,7 @@ def clean_in_memory(
     count = int(np.count_nonzero(unwanted & valid_points(points)))
     warn_of_left_out(count, configuration.input, observer)
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
-    for note in coarse_step_notes(collection.readers, typical_place(sample), collection.metres):
+    for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)
     result = clean(
         points,

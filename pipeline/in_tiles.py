@@ -54,7 +54,7 @@ def clean_in_tiles(
             density = open_rows(job.rows_path("density"), np.float64)
             score = open_rows(job.rows_path("score"), np.float32)
         places = make_places(names, staging)
-        in_parts = _write_in_parts(job, executor, observer, places)
+        in_parts = [] if output.merge else _write_in_parts(job, executor, observer, places)
         decoded, read = job.decoded, None
         if decoded is not None and decoded.has_records:
             read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)

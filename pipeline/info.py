@@ -169,9 +169,7 @@ def inspect_map(maps: Sequence[str | Path]) -> MapInfo:
         non_finite=collection.point_count - finite_count,
         duplicates=duplicate_count,
         time=str(find_scans(collection, Configuration()) or "none"),
-        notes=coarse_step_notes(
-            collection.readers, typical_place(np.concatenate(sample)) * metres, metres
-        ),
+        notes=coarse_step_notes(collection, typical_place(np.concatenate(sample)) * metres, metres),
     )
 
 

@@ -83,7 +83,8 @@ def run(
     for note in _notes(collection):
         observer.warn(note)
     check_mode(collection.readers, configuration)
-    names = OutputNames.of(collection.readers, configuration.output.mode)
+    outputs = collection.readers[:1] if configuration.output.merge else collection.readers
+    names = OutputNames.of(outputs, configuration.output.mode)
     wants_page = configuration.output.report == "html"
     results = names.all_files(configuration.output.labels, wants_page)
     with (
@@ -94,7 +95,7 @@ def run(
             size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
         observer.stage("hashing", collection.point_count)
-        digest = content_hash(paths)
+        digest = content_hash(paths, poses=collection.poses)
         observer.advance(collection.point_count)
         observer.finish()
         work = folder / WORK_FOLDER

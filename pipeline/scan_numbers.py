@@ -104,7 +104,7 @@ class ScanSource(BaseModel):
         """
         count = len(batch.xyz)
         if self.kind == "files":
-            return np.full(count, file, np.int32)
+            return np.full(count, file, np.int32)  # the numbers of `ScanPoses`
         if self.kind == "rows":
             row = batch.first_row - collection.first_rows[file] + np.arange(count)
             return (self.firsts[file] + row // self.rows).astype(np.int32)
@@ -142,6 +142,8 @@ def find_scans(
     check_time(collection, configuration)
     if wanted == OFF or not collection.point_count:
         return None
+    if wanted == AUTO and collection.poses is not None:
+        return ScanSource(kind="files", scans=len(collection.readers))
     names = candidates(collection) if wanted == AUTO else [wanted]
     if names and observer is not None:
         observer.stage("times", collection.point_count)

@@ -1,11 +1,13 @@
 """The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import (
+    MAPS,
     TLS,
     ClusterName,
     ConfigurationSource,
@@ -19,7 +21,7 @@ from pipeline.commands.options import (
 
 
 def run_command(
-    maps: Maps,
+    maps: Annotated[list[str] | None, MAPS] = None,
     output: Output = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
@@ -35,6 +37,14 @@ def run_command(
         bool,
         typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
     ] = False,
+    scans: Annotated[
+        str | None,
+        typer.Option(metavar="FOLDER", help="Scans that are the map, in the place of MAP."),
+    ] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Poses of the scans, KITTI or TUM (input.poses)."),
+    ] = None,
     scheduler: Scheduler = None,
     cluster: ClusterName = None,
     tls: TLS = False,
@@ -51,12 +61,16 @@ def run_command(
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
     wanted += worker_settings(scheduler, cluster, tls)
+    wanted += [f"input.poses={json.dumps(poses)}"] if poses else []
+    named = [*(maps or []), *([scans] if scans else [])]
+    if not named or (scans and maps):
+        raise typer.BadParameter("expected MAP... or --scans FOLDER", param_hint="MAP...")
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
     check_encryption(configuration, tls)
     with watching() as observer:
-        report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
+        report = run(named, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
 
 

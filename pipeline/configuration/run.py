@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from dynahull.labels import Label
@@ -111,6 +111,11 @@ class OutputParameters(BaseModel):
         "file, with the fields `label` and `density`, `score` where evidence is weighed, and LAS "
         "classes by `output.classes`.",
     )
+    merge: bool = Field(
+        False,
+        description="Of a map of several files, one file of each kind, in the map's frame; PCD in "
+        "binary, and KITTI's.",
+    )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
     )
@@ -137,6 +142,11 @@ class OutputParameters(BaseModel):
 AnyClass = Annotated[int, Field(ge=0, le=255, strict=True)]
 
 
+def _absolute(path: str) -> str:
+    """Return a name that means the same to workers, which may have another current folder."""
+    return str(Path(path).absolute())
+
+
 class InputParameters(BaseModel):
     """How the map is understood."""
 
@@ -147,6 +157,11 @@ class InputParameters(BaseModel):
         description="Of the coordinates. `auto`: as the map's coordinate reference system says, "
         "metres where it says nothing; degrees are refused. All lengths in this configuration are "
         "metres, whatever the map is in; outputs are in the map's own unit.",
+    )
+    poses: Annotated[str, AfterValidator(_absolute)] | None = Field(
+        None,
+        description="A file of the scans' poses, where the map is a folder of scans: 12 numbers a "
+        "line (KITTI) or 8 (TUM), from sensor to map. null: what lies beside the scans.",
     )
     leave_out: tuple[AnyClass, ...] = Field(
         (7, 18),

@@ -26,7 +26,10 @@ FileName = Annotated[str, SkipValidation]
 
 
 class InputFile(BaseModel):
-    """One file of the map, and the names of what became of it in the output folder."""
+    """One file of the map, and the names of what became of it in the output folder.
+
+    Of a scan that lies in its sensor's frame `pose` is the matrix to the map's, row by row.
+    """
 
     path: FileName
     format: str
@@ -36,6 +39,7 @@ class InputFile(BaseModel):
     static: FileName | None = None
     dynamic: FileName | None = None
     labelled: FileName | None = None
+    pose: list[float] | None = None
 
     @property
     def outputs(self) -> list[str]:
@@ -279,9 +283,17 @@ def _input_files(collection: MapCollection, names: OutputNames) -> list[InputFil
             size_bytes=reader.description.path.stat().st_size,
             points=reader.description.point_count,
             first_row=first_row,
-            **{kind: str(files[number]) for kind, files in names.by_kind.items()},
+            pose=_pose(collection, number) if len(names.by_file) > 1 else None,
+            **{kind: str(files[number % len(files)]) for kind, files in names.by_kind.items()},
         )
         for number, (reader, first_row) in enumerate(
             zip(collection.readers, collection.first_rows, strict=True)
         )
     ]
+
+
+def _pose(collection: MapCollection, file: int) -> list[float] | None:
+    """Return where the points of a file's outputs lie in the map, if they lie elsewhere."""
+    if collection.poses is None or not collection.is_moved:
+        return None
+    return [float(value) for value in collection.poses.poses[file].ravel()]

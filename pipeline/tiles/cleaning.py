@@ -80,7 +80,7 @@ def clean_tiles(
     find_times(job, observer)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     place = job.store.layout.typical_place()
-    for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
+    for note in coarse_step_notes(job.collection, place, job.collection.metres):
         observer.warn(note)
     cut_into_pieces(job, executor, observer, "ground")
     tiles = job.store.layout.counts.tolist()

@@ -3,6 +3,7 @@
 It is kept in the work folder, so that a task needs no more than the folder's name and its number.
 """
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from dynahull.clustering import Clusters
 from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
+from pipeline.errors import InputChangedError
 from pipeline.scan_numbers import ScanSource
 from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
@@ -52,6 +54,8 @@ class Job:
     state : MapState
         Theirs, when the key was made.
     configuration : Configuration
+    poses : str or None
+        The hash of the scans' poses, when the key was made.
     """
 
     root: Path
@@ -59,6 +63,7 @@ class Job:
     paths: tuple[Path, ...]
     state: MapState
     configuration: Configuration
+    poses: str | None = None
 
     def save(self) -> None:
         """Write what `open` reads."""
@@ -67,6 +72,7 @@ class Job:
             "paths": [str(path.resolve()) for path in self.paths],
             "state": self.state,
             "configuration": self.configuration.model_dump(mode="json"),
+            "poses": _hash_of(self.collection),
         }
         write_sealed(self.root / JOB_FILE, values)
 
@@ -83,8 +89,17 @@ class Job:
 
     @cached_property
     def collection(self) -> MapCollection:
-        """The map."""
-        return open_collection(self.paths, self.configuration.input)
+        """The map.
+
+        Raises
+        ------
+        InputChangedError
+            When the poses of its scans are others than they were.
+        """
+        collection = open_collection(self.paths, self.configuration.input)
+        if self.poses is not None and self.poses != _hash_of(collection):
+            raise InputChangedError(f"{collection.name}: its poses changed while it was cleaned")
+        return collection
 
     @cached_property
     def row_ranges(self) -> list[range]:
@@ -167,4 +182,10 @@ def _opened(root: Path, time: int) -> Job:
         tuple(Path(path) for path in stored["paths"]),
         tuple((size, written, changed, inode) for size, written, changed, inode in stored["state"]),
         Configuration.model_validate(stored["configuration"]),
+        stored["poses"],
     )
+
+
+def _hash_of(collection: MapCollection) -> str | None:
+    poses = collection.poses
+    return None if poses is None else hashlib.sha256(poses.to_bytes()).hexdigest()

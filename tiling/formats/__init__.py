@@ -30,6 +30,7 @@ _READERS = {
     ".parquet": ("tiling.formats.parquet", "ParquetReader"),
     ".npy": ("tiling.formats.numpy.npy", "NpyReader"),
     ".npz": ("tiling.formats.numpy.npz", "NpzReader"),
+    ".bin": ("tiling.formats.kitti", "KittiReader"),
 }
 
 MAP_SUFFIXES = tuple(_READERS)

@@ -192,6 +192,21 @@ class MapReader(ABC):
         said = self.description
         raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
 
+    def merged(self) -> "MapReader":
+        """Return what writes the points of several maps like this one into one, in one frame.
+
+        Raises
+        ------
+        MapFormatError
+            When maps of this format have more to agree on than their fields.
+        """
+        said = self.description
+        raise MapFormatError(said.path, "PCD in binary, or KITTI's, to be merged", said.format)
+
+    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
+        """Return the records of points with other coordinates, (n, 3); see `merged`."""
+        raise NotImplementedError(f"{self.description.format}: never merged")
+
     @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map of `point_count` points in this map's format, header and all."""

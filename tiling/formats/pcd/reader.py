@@ -77,6 +77,7 @@ class PcdReader(MapReader):
             point_count=self._header.point_count,
             fields=self._header.described_fields(),
             notes=notes,
+            viewpoint=self._header.viewpoint,
         )
 
     @property
@@ -239,6 +240,23 @@ class PcdReader(MapReader):
             rows = cast(TextRows, records)
             return rows.column(self._header.first_value(field), np.dtype(field.dtype))
         return self._field_of(records, field)
+
+    def merged(self) -> MapReader:
+        """Return what writes several such files into one; see `MapReader.merged`."""
+        floats = all(field.dtype.startswith("float") for field in self._header.coordinates)
+        if self._header.encoding == "ascii" or not floats:
+            return super().merged()
+        model = copy(self)
+        model._header = self._header.without_viewpoint()
+        return model
+
+    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
+        """Return binary records with other coordinates; see `MapReader.moved`."""
+        records = records.copy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            for axis, field in enumerate(self._header.coordinates):
+                self._field_of(records, field)[:] = xyz[:, axis]
+        return records
 
     def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
         """Return the first value of a field of binary records."""
