@@ -14,7 +14,7 @@ from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.tiles.cleaning import clean_tiles
+from pipeline.tiles.cleaning import clean_tiles, find_times
 from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
@@ -33,6 +33,7 @@ def clean_in_tiles(
     observer: StageObserver,
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
+    find_times(job, collection, observer)
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
         counts, clusters = clean_tiles(

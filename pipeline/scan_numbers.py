@@ -149,7 +149,7 @@ def find_scans(
         observer.stage("times", collection.point_count)
     given = wanted != AUTO
     for tally in _tallies(collection, names, given, observer):
-        source = tally.source(given)
+        source = tally.source()
         if source is not None:
             return source
     if given:
@@ -227,97 +227,81 @@ def _whole(values: NDArray[Any], tenth: float) -> NDArray[np.int64]:
 
 @dataclass
 class _Tally:
-    """What a pass over the map says of one field.
-
-    Attributes
-    ----------
-    name : str
-    seen : (n,) int64 array
-        Different scan numbers, or tenths of a second.
-    bounds : list of (int, int)
-        The lowest and the highest of each file that has any.
-    """
+    """What a pass over the map says of one field: different numbers, and bounds of each file."""
 
     name: str
     files: int
+    given: bool
     tenth: float | None = None
     seen: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     bounds: dict[int, tuple[int, int]] = field(default_factory=dict)
     points: int = 0
     largest: float = 0.0
     falls: int = 0
-    is_coarse: bool = False
-    is_of_use: bool = True
+    is_out: bool = False
 
-    def add(self, file: int, values: NDArray[Any], given: bool) -> None:
+    def add(self, file: int, values: NDArray[Any]) -> None:
         """Take some points of a file into account."""
-        if not self.is_of_use or values.dtype.kind not in "iufM":
-            self.is_of_use = False
-            return
-        if self.tenth is None:
-            self.tenth = _tenth_of(self.name, values, given)
-        if self.tenth is None:
+        self.is_out = values.dtype.kind not in "iufM"
+        if self.is_out or (self.tenth is None and not self._understands(values)):
             return
         if values.dtype.kind == "f":
             self._note_offsets(values)
-        whole = _whole(values, self.tenth)
+        whole = _whole(values, self.tenth or 0.0)
         different = np.unique(whole[np.flatnonzero(np.diff(whole, prepend=_UNKNOWN))])
         different = different[different != _UNKNOWN]
-        self.points += int(np.count_nonzero(whole != _UNKNOWN))
         if not len(different):
             return
+        self.points += int(np.count_nonzero(whole != _UNKNOWN))
+        self.seen = np.union1d(self.seen, different)
         low, high = self.bounds.get(file, (different[0], different[-1]))
         self.bounds[file] = int(min(low, different[0])), int(max(high, different[-1]))
-        self.seen = np.union1d(self.seen, different)
-        self.is_of_use = len(self.seen) <= _MOST_SCANS
+        self.is_out |= len(self.seen) > _MOST_SCANS
+
+    def _understands(self, values: NDArray[Any]) -> bool:
+        self.tenth = _tenth_of(self.name, values, self.given)
+        return self.tenth is not None
 
     def _note_offsets(self, values: NDArray[Any]) -> None:
         """Count how often a time falls back by much from one point to the next."""
         known = values[np.isfinite(values)].astype(np.float64)
         if len(known):
             self.largest = max(self.largest, float(known.max()))
-            self.is_coarse |= values.dtype.itemsize <= 4 and self.largest >= _COARSE
+            self.is_out = values.dtype.itemsize <= 4 and self.largest >= _COARSE
             if self.largest >= _OFFSETS[0][0]:
                 self.falls += int(np.count_nonzero(np.diff(known) < -0.4 * self.largest))
 
-    def source(self, given: bool) -> ScanSource | None:
+    def source(self) -> ScanSource | None:
         """Return the field as a source of scan numbers; None where it is none for sure."""
-        if not self.is_of_use or self.tenth is None or len(self.seen) < _LEAST_SCANS:
+        if self.is_out or self.tenth is None or len(self.seen) < _LEAST_SCANS:
             return None
-        a_scan = self.points / len(self.seen)
         like_offsets = (
             self.tenth == _SECONDS
             and _plain(self.name) not in _SECONDS_FOR_SURE
             and self.falls > 2
             and any(low <= self.largest <= high for low, high in _OFFSETS)
         )
-        if self.is_coarse or (not given and (like_offsets or not 2 <= a_scan <= _LARGEST_SCAN)):
+        a_scan = self.points / len(self.seen)
+        if not self.given and (like_offsets or not 2 <= a_scan <= _LARGEST_SCAN):
             return None
-        firsts, span, scans = self._firsts()
+        lowest = min(low for low, _ in self.bounds.values())
+        firsts, span, scans = [lowest] * self.files, int(self.seen[-1]) - lowest, len(self.seen)
+        if self._begins_anew(lowest):
+            span = 0
+            for file, (low, high) in sorted(self.bounds.items()):
+                firsts[file] = low - span
+                span += high + 1 - low
+            scans = span
         if span > _LARGEST_NUMBER:
             return None
         return ScanSource(
-            kind="field", scans=scans, name=self.name, tenth=self.tenth, firsts=firsts
+            kind="field", scans=scans, name=self.name, tenth=self.tenth, firsts=tuple(firsts)
         )
 
-    def _firsts(self) -> tuple[tuple[int, ...], int, int]:
-        """Return what number 0 stands for in each file, the largest number, and how many there are.
-
-        Files that all begin with the same number, or in the first minute, count anew.
-        """
-        lowest = min(low for low, _ in self.bounds.values())
-        highest = max(high for _, high in self.bounds.values())
-        again = len(self.bounds) > 1 and all(low <= lowest + 1 for low, _ in self.bounds.values())
-        if self.tenth:
-            again &= lowest < _FIRST_MINUTE
-        if not again:
-            return (lowest,) * self.files, highest - lowest, len(self.seen)
-        firsts, before = [], 0
-        for file in range(self.files):
-            low, high = self.bounds.get(file, (0, -1))
-            firsts.append(low - before)
-            before += high + 1 - low
-        return tuple(firsts), before, before
+    def _begins_anew(self, lowest: int) -> bool:
+        """Tell whether each file begins with the same number, or in the first minute."""
+        same = len(self.bounds) > 1 and all(low <= lowest + 1 for low, _ in self.bounds.values())
+        return same and (not self.tenth or lowest < _FIRST_MINUTE)
 
 
 def _tenth_of(name: str, values: NDArray[Any], given: bool) -> float | None:
@@ -348,18 +332,14 @@ def _tallies(
     collection: MapCollection, names: Sequence[str], given: bool, observer: Observer | None
 ) -> list[_Tally]:
     """Read a map once, and return what it says of some fields."""
-    tallies = [_Tally(name, len(collection.readers)) for name in names]
-    if not tallies:
-        return []
-    for file, batch in collection.batches():
+    tallies = [_Tally(name, len(collection.readers), given) for name in names]
+    for file, batch in collection.batches() if tallies else ():
         for tally in tallies:
-            if tally.is_of_use:
+            if not tally.is_out:
                 try:
-                    values = collection.readers[file].values(batch.records, tally.name)
-                except MapFormatError:
-                    tally.is_of_use = False
-                    continue
-                tally.add(file, values, given)
+                    tally.add(file, collection.readers[file].values(batch.records, tally.name))
+                except MapFormatError:  # no fields that can be read apart
+                    tally.is_out = True
         if observer is not None:
             observer.advance(len(batch.xyz))
     return tallies

@@ -113,8 +113,7 @@ class OutputParameters(BaseModel):
     )
     merge: bool = Field(
         False,
-        description="Of a map of several files, one file of each kind, in the map's frame; PCD in "
-        "binary, and KITTI's.",
+        description="Several files become one, in the map's frame; binary PCD, and KITTI's.",
     )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
@@ -160,8 +159,8 @@ class InputParameters(BaseModel):
     )
     poses: Annotated[str, AfterValidator(_absolute)] | None = Field(
         None,
-        description="A file of the scans' poses, where the map is a folder of scans: 12 numbers a "
-        "line (KITTI) or 8 (TUM), from sensor to map. null: what lies beside the scans.",
+        description="File of the poses of a folder of scans: lines of 12 numbers (KITTI) or 8 "
+        "(TUM). null: what lies beside them.",
     )
     leave_out: tuple[AnyClass, ...] = Field(
         (7, 18),
@@ -185,9 +184,8 @@ class EvidenceParameters(BaseModel):
 
     time: Annotated[str, Field(min_length=1), BeforeValidator(_switch)] = Field(
         "auto",
-        description="When points were seen. `auto`: by a field of scan numbers or times, or by the "
-        "order of the rows, where one surely tells; a field by its name: by that one; `off`: not "
-        "asked. See docs/method.md.",
+        description="When points were seen: `auto`, as a field or the order of the rows surely "
+        "tells; a field's name; or `off`.",
     )
 
 

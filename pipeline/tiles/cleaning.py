@@ -44,6 +44,7 @@ from pipeline.work.job import (
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
+from tiling.collection import MapCollection
 from tiling.common_grid import grid_of
 from tiling.errors import GridError
 from tiling.ledger import noting
@@ -77,7 +78,6 @@ def clean_tiles(
         Points of each label.
     clusters : tuple of ClusterSummary
     """
-    find_times(job, observer)
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     place = job.store.layout.typical_place()
     for note in coarse_step_notes(job.collection, place, job.collection.metres):
@@ -113,11 +113,14 @@ def clean_tiles(
     return {label.title: int(found[label]) for label in Label}, clusters
 
 
-def find_times(job: Job, observer: StageObserver) -> None:
-    """Find out what tells when points were seen, where the evidence is weighed."""
+def find_times(job: Job, collection: MapCollection, observer: StageObserver) -> None:
+    """Find out what tells when points were seen, where the evidence is weighed.
+
+    The map is the job's, opened so that all cores read it.
+    """
     if not job.configuration.removal.weighs_evidence or job.work.has_done(TIMING):
         return
-    source = find_scans(job.collection, job.configuration, observer)
+    source = find_scans(collection, job.configuration, observer)
     stored = None if source is None else source.model_dump(mode="json")
     with noting() as written:
         write_sealed(job.root / SCANS_FILE, {"source": stored})

@@ -14,8 +14,8 @@ from pipeline.info import inspect_map
 from pipeline.outputs.reading import read_result
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.work import job
 from pipeline.work.folder import WORK_FOLDER
-from pipeline.work.job import Job
 from tiling.collection import MapCollection, find_map_files
 from tiling.errors import MapFormatError, NoMapError
 from tiling.formats import open_map
@@ -280,8 +280,9 @@ def test_poses_that_change_are_noticed(tmp_path, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             cleaned(folder, tmp_path / "out", most=700)
     (folder / "poses.txt").write_text(lines(POSES + 0.5 * (np.arange(4) == 3)))
+    job._opened.cache_clear()  # a worker is another process
     with pytest.raises(InputChangedError, match="its poses changed"):
-        _ = Job.open(str(tmp_path / "out" / WORK_FOLDER)).collection
+        _ = job.Job.open(str(tmp_path / "out" / WORK_FOLDER)).collection
     report = cleaned(folder, tmp_path / "out", most=700)
     assert any("another map or configuration" in each for each in report.warnings)
 

@@ -1,6 +1,7 @@
 """What tells when the points of a map were seen: fields by name, the order of rows, or nothing."""
 
 import json
+import os
 
 import laspy
 import numpy as np
@@ -8,12 +9,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from dynahull import clean
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
 from pipeline.info import inspect_map
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
+from pipeline.tiles.stages import TASKS
+from pipeline.work.folder import WORK_FOLDER
 from tiling.collection import MapCollection
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
@@ -169,15 +173,14 @@ def test_the_method_is_given_the_numbers_in_memory_and_in_tiles(
     path = tmp_path / f"map.{suffix}"
     make(path)
     given = []
-    clean = __import__("pipeline.in_memory").in_memory.clean
     monkeypatch.setattr(
         "pipeline.in_memory.clean",
         lambda *a, scan=None, **k: given.append(scan) or clean(*a, scan=scan, **k),
     )
     monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 900)
-    label_tile = __import__("pipeline.tiles.stages").tiles.stages.TASKS["label"]
+    label_tile = TASKS["label"]
     monkeypatch.setitem(
-        __import__("pipeline.tiles.stages").tiles.stages.TASKS,
+        TASKS,
         "label",
         lambda job, tile: given.append(np.array(job.scans)) or label_tile(job, tile),
     )
@@ -203,3 +206,38 @@ def test_nothing_is_looked_for_where_the_evidence_is_not_weighed(tmp_path, monke
     settings = ["ground.method=none", "neighbours.k=8", "output.report=none"]
     configuration = load_configuration(None, settings)
     assert run([path], tmp_path / "o", configuration, StageObserver(LogDisplay())).time is None
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("name", ["scan.rows", "scans.json", "times.done"])
+@pytest.mark.parametrize("damage", [flip, lambda path: os.truncate(path, 9), os.unlink])
+def test_numbers_that_were_damaged_are_made_again(tmp_path, monkeypatch, name, damage):
+    path = write(tmp_path / "map.npy", scan=SCAN)
+    settings = ["execution.cluster=none", "tiling.max_points=1000", "ground.method=none"]
+    configuration = load_configuration("auto", [*settings, "neighbours.k=8", "output.report=none"])
+    monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 900)
+    weigh_tile, given = TASKS["evidence"], []
+
+    def killed(job, tile):
+        if tile == 1:
+            raise KeyboardInterrupt
+        return weigh_tile(job, tile)
+
+    def cleaned(task):
+        monkeypatch.setitem(TASKS, "evidence", task)
+        return run([path], tmp_path / "out", configuration, StageObserver(LogDisplay()))
+
+    with pytest.raises(KeyboardInterrupt):
+        cleaned(killed)
+    damage(tmp_path / "out" / WORK_FOLDER / name)
+    report = cleaned(lambda job, tile: given.append(np.array(job.scans)) or weigh_tile(job, tile))
+    assert any("not as it was written" in each for each in report.warnings) or name == "times.done"
+    assert report.time == "scan, 25 scans"
+    for numbers in given:
+        np.testing.assert_array_equal(numbers, SCAN)
+    assert given
