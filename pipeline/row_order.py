@@ -29,6 +29,8 @@ _WINDOWS = 3
 _SAMPLED = 2000
 """Points of a piece, at most."""
 
+_BATCH = 1 << 17
+
 _FULL = 50_000
 """Rows of a stretch of which every one is looked at."""
 
@@ -102,7 +104,8 @@ class _Stretch:
     def read(cls, collection: MapCollection, start: int, lengths: list[int]) -> "_Stretch":
         """Read the rows from a place on that pieces of these lengths take."""
         stretch = cls(samples={length: [] for length in lengths})
-        for _, batch in collection.batches(rows=range(start, start + lengths[-1] * _PIECES)):
+        rows = range(start, start + lengths[-1] * _PIECES)
+        for _, batch in collection.batches(_BATCH, rows):
             offsets = batch.first_row - start + np.arange(len(batch.xyz))
             finite = (np.abs(batch.xyz) < _FARTHEST).all(axis=1)
             stretch.full.append(batch.xyz[finite & (offsets < _FULL)])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.errors import NoMapError
+from tiling.errors import NoMapError, SeveralMapsError
 from tiling.formats import MAP_SUFFIXES, open_map
 from tiling.formats.base import MapReader
 from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
@@ -30,7 +30,7 @@ _SEVERAL_MAPS: tuple[frozenset[str], ...] = (
 """Names, in lower case and without suffixes, of files that are not parts of one map."""
 
 
-def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
+def find_map_files(arguments: Sequence[Path | str], as_one: bool = True) -> tuple[Path, ...]:
     """Find the files that the arguments name.
 
     Parameters
@@ -42,6 +42,9 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
         What exists by that very name is never taken for a pattern. A file named outright is
         returned whatever its suffix; in folders and patterns, hidden files and those without a
         suffix of `MAP_SUFFIXES` are passed over.
+    as_one : bool
+        Whether together they are one map: a folder of several maps of one place is refused, and
+        the scans of a folder may lie in one within it.
 
     Returns
     -------
@@ -52,14 +55,17 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     Raises
     ------
     NoMapError
-        When an argument names no map, or one that cannot be read, or there are no arguments.
+        When an argument names no map, or one that cannot be read, or there are no arguments;
+        `SeveralMapsError` when it names several that are not parts of one.
+    MapFormatError
+        When a file that could be a scan is not a map that can be read.
     """
     if not arguments:
         raise NoMapError("no argument", "none")
     found: dict[Path, Path] = {}
     for argument in arguments:
         try:
-            files = _files_of(argument)
+            files = _files_of(argument, as_one)
         except OSError as error:
             reason = error.strerror or type(error).__name__
             raise NoMapError(str(argument), f"one that cannot be read ({reason})") from error
@@ -256,15 +262,16 @@ class MapCollection:
         return ranges
 
 
-def _files_of(argument: Path | str) -> list[Path]:
+def _files_of(argument: Path | str, as_one: bool) -> list[Path]:
     """Return the maps that one argument names, in order."""
     if str(argument) == "":
         raise NoMapError("an empty name", "no file or folder")
     path = Path(argument)
     if path.is_dir():
-        candidates = scan_folder(path) or list(path.iterdir())
+        candidates = (scan_folder(path) if as_one else None) or list(path.iterdir())
         place = "a folder"
-        _refuse_several_maps(path, candidates)
+        if as_one:
+            _refuse_several_maps(path, candidates)
     elif path.exists() or not glob.has_magic(str(argument)):
         if not path.exists():
             raise NoMapError(str(argument), "no such file or folder")
@@ -288,7 +295,7 @@ def _refuse_several_maps(folder: Path, files: Sequence[Path]) -> None:
     for together in _SEVERAL_MAPS:
         if together <= names.keys():
             found = ", ".join(names[name] for name in sorted(together))
-            raise NoMapError(
+            raise SeveralMapsError(
                 str(folder), f"a folder of several maps of one place ({found}, ...): name one"
             )
 

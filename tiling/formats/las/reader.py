@@ -108,15 +108,17 @@ class LasReader(MapReader):
     @cached_property
     def _point_format(self) -> Any:
         from laspy import LasHeader as Header  # noqa: PLC0415
-        from laspy.errors import LaspyException  # noqa: PLC0415
 
         with self._header.path.open("rb") as file:
             try:
-                return Header.read_from(file).point_format
-            except LaspyException as error:
-                raise MapFormatError(
-                    self._header.path, "fields that laspy can take apart", str(error)
-                ) from error
+                found = Header.read_from(file).point_format
+            except Exception as error:  # laspy raises many kinds
+                expected = "fields that laspy can take apart"
+                raise MapFormatError(self._header.path, expected, str(error)) from error
+        if found.size != self._header.record_length:
+            expected = f"points of {self._header.record_length} bytes, as laspy reads them"
+            raise MapFormatError(self._header.path, expected, f"{found.size} bytes")
+        return found
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
