@@ -20,6 +20,9 @@ from tiling.key_frames import ScanPoses, find_poses, scan_folder
 
 _HASH_BLOCK = 1 << 20
 
+_OF_SCANS = ".bin"
+"""A suffix that much else has, too: beside other maps such files are passed over."""
+
 _SEVERAL_MAPS: tuple[frozenset[str], ...] = (
     frozenset({"static", "dynamic"}),
     frozenset({"globalmap", "surfmap"}),
@@ -283,6 +286,8 @@ def _files_of(argument: Path | str, as_one: bool) -> list[Path]:
         place = "a pattern"
     files = [each for each in candidates if each.is_file() and not each.name.startswith(".")]
     maps = [each for each in files if each.suffix.lower() in MAP_SUFFIXES]
+    if any(each.suffix.lower() != _OF_SCANS for each in maps):
+        maps = [each for each in maps if each.suffix.lower() != _OF_SCANS]
     if not maps:
         others = f"{len(files)} other files" if files else "no files"
         raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")

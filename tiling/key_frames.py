@@ -27,6 +27,9 @@ _NOT_A_ROTATION = 1e-2
 _FAR = 5.0
 """Metres from the origin at which a pose tells which frame the points are in."""
 
+_LOOKED_AT = 20_000
+"""Points of a scan."""
+
 Matrices = NDArray[np.float64]
 
 
@@ -66,7 +69,7 @@ def scan_folder(folder: Path) -> list[Path] | None:
     """Return the scans of a folder in one of the layouts, in any order; None of another folder."""
     frames = [each / "cloud.pcd" for each in folder.iterdir() if each.name.isdigit()]
     frames = [each for each in frames if each.is_file()]
-    if frames:
+    if any(each.with_name("data").is_file() for each in frames):
         return frames
     for name in _SCAN_FOLDERS:
         if (folder / name).is_dir() and _pose_file(folder) is not None:
@@ -96,9 +99,11 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
     parent = paths[0].parent
     if given is not None:
         return _of(_matched(paths, read_poses(given), given))
-    if all(path.name == "cloud.pcd" and path.parent.name.isdigit() for path in paths):
+    framed = all(path.name == "cloud.pcd" and path.parent.name.isdigit() for path in paths)
+    if framed and any(path.with_name("data").is_file() for path in paths):
         return _of(np.array([_estimate(path.parent / "data") for path in paths]))
-    if len(parents) == 1 and parent.name in _SCAN_FOLDERS:
+    several = len(paths) > 1 or paths[0].stem.isdigit()
+    if several and len(parents) == 1 and parent.name in _SCAN_FOLDERS:
         file = _pose_file(parent.parent)
         if file is not None:
             poses = _matched(paths, read_poses(file), file)
@@ -211,7 +216,7 @@ def _are_around_origin(readers: Sequence[MapReader], poses: Matrices) -> bool:
     away = np.linalg.norm(poses[:, :, 3], axis=1)
     votes = []
     for file in np.argsort(-away, kind="stable")[:5].tolist():
-        batch = next(readers[file].batches(), None) if away[file] > _FAR else None
+        batch = next(readers[file].batches(_LOOKED_AT), None) if away[file] > _FAR else None
         if batch is not None:
             xyz = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
             to_origin = np.median(np.linalg.norm(xyz, axis=1)) if len(xyz) else np.inf

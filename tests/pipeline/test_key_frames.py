@@ -4,14 +4,17 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 from dynahull import Label, clean
 from pipeline.commands.app import app
 from pipeline.configuration.run import load_configuration
-from pipeline.errors import InputChangedError
+from pipeline.errors import EvaluationError, InputChangedError
+from pipeline.evaluation.inputs import _read_run
 from pipeline.info import inspect_map
 from pipeline.outputs.reading import read_result
+from pipeline.preview import WHOLE, preview
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.work import job
@@ -267,6 +270,44 @@ def test_a_folder_of_parts_with_one_viewpoint_stays_what_it_is(tmp_path):
     collection = MapCollection(find_map_files([tmp_path]))
     assert collection.poses is None
     np.testing.assert_array_equal(points_of(collection), np.concatenate(CLOUDS[:3]).astype("f8"))
+
+
+def test_other_files_in_like_places_stay_maps(tmp_path):
+    write_pcd(tmp_path / "2024" / "cloud.pcd", CLOUDS[0], 0)
+    write_pcd(tmp_path / "scans" / "map.pcd", CLOUDS[0], 0)
+    (tmp_path / "poses.txt").write_text(lines(POSES))
+    for name in ("2024/cloud.pcd", "scans/map.pcd"):
+        assert MapCollection([tmp_path / name]).poses is None
+    (tmp_path / "2024" / "weights.bin").write_bytes(b"of a network")
+    assert len(find_map_files([tmp_path / "2024"])) == 1
+    assert len(find_map_files([tmp_path / "2024" / "weights.bin"])) == 1
+
+
+def test_scans_whose_poses_are_nowhere_are_refused(tmp_path):
+    folder = kitti(tmp_path / "in")
+    (tmp_path / "in" / "poses" / "07.txt").unlink()
+    with pytest.raises(MapFormatError, match="velodyne: expected poses of the scans"):
+        MapCollection(find_map_files([folder / "velodyne"]))
+
+
+def test_a_preview_of_scans_keeps_their_places(tmp_path):
+    folder = hdl(tmp_path / "in")
+    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    configuration = load_configuration("auto", settings)
+    report = preview(
+        [str(folder)], tmp_path / "out", configuration, StageObserver(LogDisplay()), points=1000,
+        window=WHOLE,
+    )  # fmt: skip
+    found = read_result(tmp_path / "out").xyz
+    assert 900 < report.points <= 1000
+    distance, _ = cKDTree(WORLD).query(found)
+    assert distance.max() < 1e-4
+
+
+def test_scans_are_not_evaluated_in_their_own_frames(tmp_path):
+    cleaned(hdl(tmp_path / "in"), tmp_path / "out")
+    with pytest.raises(EvaluationError, match=r"run with output\.merge=true"):
+        _read_run(tmp_path / "out")
 
 
 def test_poses_that_change_are_noticed(tmp_path, monkeypatch):
