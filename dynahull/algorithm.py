@@ -12,6 +12,7 @@ from dynahull.checking import (
     checked_mask,
     checked_observer,
     checked_points,
+    checked_scans,
     checked_threads,
     valid_points,
 )
@@ -62,6 +63,7 @@ def clean(
     classification: ArrayLike | None = None,
     left_out: ArrayLike | None = None,
     protected: ArrayLike | None = None,
+    scan: ArrayLike | None = None,
     threads: int = 1,
     observer: Observer | None = None,
     **sections: Any,
@@ -83,6 +85,9 @@ def clean(
         Points that are known to be noise: they decide nothing, and are labelled unscored.
     protected : (N,) array_like of bool, optional
         Points that are never removed, beside those of `removal.protect`.
+    scan : (N,) array_like of int, optional
+        The scan in which each point was seen, numbered from 0 in the order of time, some 0.1 s
+        apart; -1 where it is not known. Only `removal.decision: auto` looks at it.
     threads : int
         Threads of ground, clustering and density. The result does not depend on it.
     observer : Observer, optional
@@ -112,6 +117,7 @@ def clean(
     coordinates = checked_points(points)
     classes = None if classification is None else checked_classes(classification, len(coordinates))
     noise = None if left_out is None else checked_mask(left_out, len(coordinates))
+    scans = None if scan is None else checked_scans(scan, len(coordinates))
     parameters = MethodParameters.chosen(parameters, sections)
     chosen = parameters.removal
     safe = protected_points(coordinates, classes, chosen.protect_classes, chosen.protect)
@@ -138,8 +144,8 @@ def clean(
     )
     density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
     if parameters.removal.weighs_evidence:
-        judged = _weighed(coordinates, rows, density, membership, spreads, aside, parameters,
-                          threads, observer)  # fmt: skip
+        judged = _weighed(coordinates, rows, density, membership, spreads, aside, scans,
+                          parameters, threads, observer)  # fmt: skip
         removals = [
             remove_likely(judged.score[members], parameters.removal.confidence)
             for members in membership
@@ -267,11 +273,13 @@ def _weighed(
     membership: Sequence[NDArray[np.int64]],
     spreads: Sequence[NDArray[np.float32]],
     aside: SetAside,
+    scans: NDArray[np.int32] | None,
     parameters: MethodParameters,
     threads: int,
     observer: Observer,
 ) -> Judged:
     """Weigh the evidence for each scored point, in rows; all others are not judged."""
+    del scans  # no term of the model looks at them yet
     observer.stage("evidence", len(rows))
     spread = _scattered(
         np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads

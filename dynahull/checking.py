@@ -128,6 +128,29 @@ def checked_mask(given: ArrayLike, count: int, name: str = "left_out") -> NDArra
     return mask.astype(np.bool_)
 
 
+def checked_scans(scan: ArrayLike, count: int) -> NDArray[np.int32]:
+    """Return scan numbers as an (N,) int32 array.
+
+    Raises
+    ------
+    InvalidPointsError
+        When they are anything else.
+    """
+    scans = np.asarray(as_array(scan, "scan", "one scan number for each point"))
+    if scans.shape != (count,):
+        raise InvalidPointsError(
+            f"scan: expected one number for each of {count} points, found shape {scans.shape}"
+        )
+    if count and (
+        scans.dtype.kind not in "iu" or scans.min() < -1 or scans.max() > np.iinfo(np.int32).max
+    ):
+        raise InvalidPointsError(
+            "scan: expected whole numbers from 0 to 2147483647, or -1 where not known, found "
+            f"dtype {scans.dtype}"
+        )
+    return scans.astype(np.int32)
+
+
 def checked_threads(threads: int) -> int:
     """Return a number of threads.
 

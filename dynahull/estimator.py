@@ -97,7 +97,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         self.confidence = confidence
         self.configuration = configuration
 
-    def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: N803 (scikit-learn's name)
+    def fit(self, X: ArrayLike, y: None = None, scan: ArrayLike | None = None) -> Self:  # noqa: N803
         """Label every point of a map.
 
         Parameters
@@ -106,6 +106,8 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
             The map, in metres.
         y : None
             Ignored.
+        scan : (n_samples,) array_like of int, optional
+            See `dynahull.clean`.
 
         Returns
         -------
@@ -119,7 +121,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
                 f"{remedy(points.shape, 'X')}"
             )
         parameters = self._parameters()
-        result = clean(points, parameters)
+        result = clean(points, parameters, scan=scan)
         self.labels_ = np.where(result.kept, 1, -1)
         self.density_ = result.density
         self.score_ = result.score
@@ -139,13 +141,13 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         y : None
             Ignored.
         **kwargs
-            Ignored; scikit-learn's meta-estimators may pass some.
+            `scan`, as `fit` takes it; others that scikit-learn's meta-estimators pass are ignored.
 
         Returns
         -------
         (n_samples,) int array
         """
-        return np.asarray(self.fit(X).labels_)
+        return np.asarray(self.fit(X, scan=kwargs.get("scan")).labels_)
 
     def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:  # noqa: N803
         """Measure the density of the fitted map around any points: low where ghosts are.

@@ -20,6 +20,7 @@ from pipeline.places import DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
+from pipeline.scan_numbers import ScanSource, find_scans
 from tiling.collection import MapCollection
 from tiling.resolution import coarse_step_notes, typical_place
 
@@ -35,13 +36,15 @@ def clean_in_memory(
     observer: StageObserver,
 ) -> CleanedMap:
     """Clean a map of one tile, and write its results."""
+    output, removal = configuration.output, configuration.removal
+    source = find_scans(collection, configuration, observer) if removal.weighs_evidence else None
     observer.stage("reading", collection.point_count)
-    points, classes, marked = _read(collection, configuration, observer)
+    points, classes, marked, scan = _read(collection, configuration, source, observer)
     unwanted = marked == LEFT_OUT
     count = int(np.count_nonzero(unwanted & valid_points(points)))
     warn_of_left_out(count, configuration.input, observer)
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
-    for note in coarse_step_notes(collection.readers, typical_place(sample), collection.metres):
+    for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)
     result = clean(
         points,
@@ -49,10 +52,10 @@ def clean_in_memory(
         classification=classes if collection.has_classification else None,
         left_out=unwanted if count else None,
         protected=marked == PROTECTED,
+        scan=scan,
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
-    output, removal = configuration.output, configuration.removal
     decision, views = None, None
     if removal.weighs_evidence:
         weighed = np.where(result.protected, np.float32(np.nan), result.score)
@@ -77,21 +80,28 @@ def clean_in_memory(
         result.clusters,
         decision,
         views,
+        source=source,
     )
 
 
 def _read(
-    collection: MapCollection, configuration: Configuration, observer: StageObserver
-) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the points of a map, their classes, and their marks."""
+    collection: MapCollection,
+    configuration: Configuration,
+    source: ScanSource | None,
+    observer: StageObserver,
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32] | None]:
+    """Return the points of a map, their classes, their marks, and their scans."""
     count = collection.point_count
     points, classes = np.empty((count, 3)), np.zeros(count, np.uint8)
     marked = np.zeros(count, np.uint8)
-    for _, batch in collection.batches():
+    scan = None if source is None else np.empty(count, np.int32)
+    for file, batch in collection.batches():
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         points[rows] = batch.xyz
         if batch.classification is not None:
             classes[rows] = batch.classification
         marked[rows] = marks(batch, configuration)
+        if source is not None and scan is not None:
+            scan[rows] = source.numbers(collection, file, batch)
         observer.advance(len(batch.xyz))
-    return points, classes, marked
+    return points, classes, marked, scan

@@ -14,7 +14,7 @@ from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.tiles.cleaning import clean_tiles
+from pipeline.tiles.cleaning import clean_tiles, find_times
 from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
@@ -33,6 +33,7 @@ def clean_in_tiles(
     observer: StageObserver,
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
+    find_times(job, collection, observer)
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
         counts, clusters = clean_tiles(
@@ -55,14 +56,24 @@ def clean_in_tiles(
             score = open_rows(job.rows_path("score"), np.float32)
             reason = open_rows(job.rows_path("reason"), np.uint8)
         places = make_places(names, staging)
-        in_parts = _write_in_parts(job, executor, observer, places)
+        in_parts = [] if output.merge else _write_in_parts(job, executor, observer, places)
         decoded, read = job.decoded, None
         if decoded is not None and decoded.has_records:
             read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
         scores = kept_scores(job)
         write_maps(collection, output, labels, scores, places, observer, in_parts, read)
     return CleanedMap(
-        labels, cluster, density, score, reason, counts, clusters, decision, views, tiles
+        labels,
+        cluster,
+        density,
+        score,
+        reason,
+        counts,
+        clusters,
+        decision,
+        views,
+        tiles,
+        job.scan_source,
     )
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, SkipValidation
 
+from pipeline.configuration.run import Configuration
+from pipeline.scan_numbers import find_scans
 from pipeline.units import in_words
 from tiling.collection import MapCollection, find_map_files
 from tiling.foreign_text import LONGEST_LINE, escaped, printable
@@ -83,6 +85,8 @@ class MapInfo(BaseModel):
         Points with a coordinate that is NaN or infinite.
     duplicates : int
         Finite points at coordinates that an earlier point has already.
+    time : str
+        What tells when points were seen, in words.
     notes : list of str
         What of the whole map is to be minded.
     """
@@ -96,6 +100,7 @@ class MapInfo(BaseModel):
     maximum: tuple[float, float, float] | None
     non_finite: int
     duplicates: int
+    time: str = "none"
     notes: list[str] = []
 
     def to_text(self) -> str:
@@ -117,6 +122,7 @@ class MapInfo(BaseModel):
                 lines.append(f"{axis}           {low:,.3f} to {high:,.3f} ({size})")
         lines.append(f"non-finite  {self.non_finite:,}")
         lines.append(f"duplicates  {self.duplicates:,}")
+        lines.append(f"time        {self.time}")
         lines += [f"note        {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -162,9 +168,8 @@ def inspect_map(maps: Sequence[str | Path]) -> MapInfo:
         maximum=_triple(high) if finite_count else None,
         non_finite=collection.point_count - finite_count,
         duplicates=duplicate_count,
-        notes=coarse_step_notes(
-            collection.readers, typical_place(np.concatenate(sample)) * metres, metres
-        ),
+        time=str(find_scans(collection, Configuration()) or "none"),
+        notes=coarse_step_notes(collection, typical_place(np.concatenate(sample)) * metres, metres),
     )
 
 

@@ -99,7 +99,8 @@ def tile_map(
                 raise OutputError(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
-            digest = content_hash(paths)
+            poses = open_collection(paths, configuration.input).poses
+            digest = content_hash(paths, poses=poses)
             job = open_job(work, paths, state, digest, configuration, False, observer, "chunk")
             with workers_for(job) as executor:
                 plan_tiles(

@@ -128,6 +128,11 @@ def preview(
         raise ConfigurationError(f"{collection.name}: no point in the window, {window}")
     with writing_only_into(folder):
         files = _write_part(collection, kept, folder)
+        if collection.poses is not None and collection.is_moved:
+            poses = folder / PART_FOLDER / "poses.txt"
+            np.savetxt(poses, collection.poses.poses[list(kept)].reshape(-1, 12), "%.17g")
+            values["input"]["poses"] = str(poses)
+            configuration = Configuration.model_validate(values)
     observer.warn(_description(part, window, collection))
     return run(files, folder, configuration, observer)
 

@@ -24,6 +24,7 @@ from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views, render_page
+from pipeline.scan_numbers import check_time
 from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work
@@ -82,6 +83,7 @@ def run(
         )
     if configuration.ground.method == "csf":
         cloth_library()  # before the work, not after it
+    check_time(collection, configuration)
     begun = (folder / WORK_FOLDER).exists() and not fresh
     one_tile = is_one_tile(collection, configuration, begun=begun)
     if one_tile:
@@ -89,7 +91,8 @@ def run(
     for note in _notes(collection):
         observer.warn(note)
     check_mode(collection.readers, configuration)
-    names = OutputNames.of(collection.readers, configuration.output.mode)
+    outputs = collection.readers[:1] if configuration.output.merge else collection.readers
+    names = OutputNames.of(outputs, configuration.output.mode)
     wants_page = configuration.output.report == "html"
     results = names.all_files(bool(configuration.output.labels), wants_page)
     with (
@@ -100,7 +103,7 @@ def run(
             size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
         observer.stage("hashing", collection.point_count)
-        digest = content_hash(paths)
+        digest = content_hash(paths, poses=collection.poses)
         observer.advance(collection.point_count)
         observer.finish()
         work = folder / WORK_FOLDER

@@ -29,7 +29,7 @@ def open_collection(
     ----------
     paths : sequence of Path
     parameters : InputParameters
-        `unit` is used.
+        `unit` and `poses` are used.
     threads : int
         See `MapCollection`.
 
@@ -40,7 +40,8 @@ def open_collection(
     TilingError
         When a file is not a map that can be read.
     """
-    collection = MapCollection(paths, threads)
+    poses = None if parameters.poses is None else Path(parameters.poses)
+    collection = MapCollection(paths, threads, poses)
     said = system_of(collection)
     if parameters.unit != "auto":
         factors = np.full(3, _FACTORS[parameters.unit])

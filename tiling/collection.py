@@ -12,27 +12,43 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.errors import NoMapError
+from tiling.errors import NoMapError, SeveralMapsError
 from tiling.formats import MAP_SUFFIXES, OTHERS_TOO, open_map
 from tiling.formats.base import MapReader
 from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
+from tiling.key_frames import ScanPoses, find_poses, scan_folder
 
 _HASH_BLOCK = 1 << 20
 
+"""A suffix that much else has, too: beside other maps such files are passed over."""
 
-def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
+_SEVERAL_MAPS: tuple[frozenset[str], ...] = (
+    frozenset({"static", "dynamic"}),
+    frozenset({"globalmap", "surfmap"}),
+    frozenset({"globalmap", "trajectory"}),
+    frozenset({"cornermap", "surfmap"}),
+    frozenset({"trajectory", "transformations"}),
+)
+"""Names, in lower case and without suffixes, of files that are not parts of one map."""
+
+
+def find_map_files(arguments: Sequence[Path | str], as_one: bool = True) -> tuple[Path, ...]:
     """Find the files that the arguments name.
 
     Parameters
     ----------
     arguments : sequence of Path or str
-        Each is a file; or a folder, which means the maps directly in it, and in its partitions
+        Each is a file; or a folder, which means the scans in it where these have poses
+        (`tiling.key_frames`), and else the maps directly in it, and in its partitions
         (folders called `key=value`, as Spark writes them, at any depth); or a pattern
         (`*`, `?`, `[...]`, and `**` for folders at any depth), which means the maps it matches.
         What exists by that very name is never taken for a pattern. A file named outright is
         returned whatever its suffix; in folders and patterns, hidden files and those without a
         suffix of `MAP_SUFFIXES` are passed over, and so are those with one of `OTHERS_TOO` where
         there are maps with another.
+    as_one : bool
+        Whether together they are one map: a folder of several maps of one place is refused, and
+        the scans of a folder may lie in one within it.
 
     Returns
     -------
@@ -43,14 +59,17 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     Raises
     ------
     NoMapError
-        When an argument names no map, or one that cannot be read, or there are no arguments.
+        When an argument names no map, or one that cannot be read, or there are no arguments;
+        `SeveralMapsError` when it names several that are not parts of one.
+    MapFormatError
+        When a file that could be a scan is not a map that can be read.
     """
     if not arguments:
         raise NoMapError("no argument", "none")
     found: dict[Path, Path] = {}
     for argument in arguments:
         try:
-            files = _files_of(argument)
+            files = _files_of(argument, as_one)
         except OSError as error:
             reason = error.strerror or type(error).__name__
             raise NoMapError(str(argument), f"one that cannot be read ({reason})") from error
@@ -59,7 +78,11 @@ def find_map_files(arguments: Sequence[Path | str]) -> tuple[Path, ...]:
     return tuple(found.values())
 
 
-def content_hash(paths: Sequence[Path], advance: Callable[[int], None] | None = None) -> str:
+def content_hash(
+    paths: Sequence[Path],
+    advance: Callable[[int], None] | None = None,
+    poses: ScanPoses | None = None,
+) -> str:
     """Hash the bytes of files, one after the other, in one digest.
 
     Parameters
@@ -68,6 +91,8 @@ def content_hash(paths: Sequence[Path], advance: Callable[[int], None] | None = 
         The files, whose names do not matter but whose order and sizes do.
     advance : callable, optional
         Told of the bytes of each block that was hashed; what it raises ends the hashing.
+    poses : ScanPoses, optional
+        Of the files, which move their points.
 
     Returns
     -------
@@ -84,6 +109,8 @@ def content_hash(paths: Sequence[Path], advance: Callable[[int], None] | None = 
                 digest.update(block)
                 if advance is not None:
                     advance(len(block))
+    if poses is not None:
+        digest.update(poses.to_bytes())
     return digest.hexdigest()
 
 
@@ -96,6 +123,8 @@ class MapCollection:
         The files, as `find_map_files` gives them. Every header is read and checked.
     threads : int
         Cores that reading and writing a file may use at once, see `MapReader.threads`.
+    poses : Path, optional
+        A file of the scans' poses, in the place of what lies beside the files.
 
     Attributes
     ----------
@@ -108,6 +137,9 @@ class MapCollection:
     metres : (3,) float64 array or None
         What coordinates are multiplied by on their way out, so that they are metres; None where
         they are as they are in the files. Records never change.
+    poses : ScanPoses or None
+        Of the files, which are scans; their points come in the map's frame. None where the files
+        are no scans with poses.
 
     Raises
     ------
@@ -117,7 +149,7 @@ class MapCollection:
         When a file is not a map that can be read.
     """
 
-    def __init__(self, paths: Sequence[Path], threads: int = 1) -> None:
+    def __init__(self, paths: Sequence[Path], threads: int = 1, poses: Path | None = None) -> None:
         if not paths:
             raise NoMapError("no argument", "none")
         self.readers: tuple[MapReader, ...] = tuple(open_map(path, threads) for path in paths)
@@ -125,6 +157,12 @@ class MapCollection:
         *first_rows, self.point_count = accumulate(counts, initial=0)
         self.first_rows: tuple[int, ...] = tuple(first_rows)
         self.metres: NDArray[np.float64] | None = None
+        self.poses: ScanPoses | None = find_poses(self.readers, poses)
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether coordinates are elsewhere than in the files: scans, in the map's frame."""
+        return self.poses is not None and not self.poses.are_applied
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -182,13 +220,14 @@ class MapCollection:
                 for batch in reader.batches(max_points, range(start, stop)):
                     # A copy: the reader goes on from the row numbers of its own.
                     of_map = replace(batch, first_row=batch.first_row + first_row)
-                    yield file, self.in_metres(of_map)
+                    yield file, self.in_map(file, of_map)
 
-    def in_metres(self, batch: PointBatch) -> PointBatch:
-        """Return points as a reader gave them with coordinates as `batches` has them."""
-        if self.metres is None:
-            return batch
-        return replace(batch, xyz=batch.xyz * self.metres)
+    def in_map(self, file: int, batch: PointBatch) -> PointBatch:
+        """Return points as a file's reader gave them with coordinates as `batches` has them."""
+        xyz = batch.xyz if self.metres is None else batch.xyz * self.metres
+        if self.poses is not None:
+            xyz = self.poses.to_map(file, xyz)
+        return batch if xyz is batch.xyz else replace(batch, xyz=xyz)
 
     def files_of(self, rows: range) -> range:
         """Return the files, by index, that consecutive rows of the whole map come from.
@@ -227,14 +266,16 @@ class MapCollection:
         return ranges
 
 
-def _files_of(argument: Path | str) -> list[Path]:
+def _files_of(argument: Path | str, as_one: bool) -> list[Path]:
     """Return the maps that one argument names, in order."""
     if str(argument) == "":
         raise NoMapError("an empty name", "no file or folder")
     path = Path(argument)
     if path.is_dir():
-        candidates = list(_in_folder(path))
+        candidates = (scan_folder(path) if as_one else None) or list(_in_folder(path))
         place = "a folder"
+        if as_one:
+            _refuse_several_maps(path, candidates)
     elif path.exists() or not glob.has_magic(str(argument)):
         if not path.exists():
             raise NoMapError(str(argument), "no such file or folder")
@@ -265,6 +306,17 @@ def _in_folder(folder: Path) -> Iterator[Path]:
             yield from _in_folder(each)
         else:
             yield each
+
+
+def _refuse_several_maps(folder: Path, files: Sequence[Path]) -> None:
+    """Refuse a folder that holds several maps of one place: results of a run, or of LIO-SAM."""
+    names = {path.stem.lower(): path.name for path in files if path.suffix.lower() in MAP_SUFFIXES}
+    for together in _SEVERAL_MAPS:
+        if together <= names.keys():
+            found = ", ".join(names[name] for name in sorted(together))
+            raise SeveralMapsError(
+                str(folder), f"a folder of several maps of one place ({found}, ...): name one"
+            )
 
 
 def _natural_order(path: Path) -> tuple[list[list[tuple[str, int]]], str]:

@@ -36,8 +36,8 @@ def grid_of(collection: MapCollection, survey: Survey) -> Grid:
         When there is none.
     """
     own = list(dict.fromkeys(reader.description.grid for reader in collection.readers))
-    if collection.metres is not None:
-        own = [None]  # what was multiplied is on it no more
+    if collection.metres is not None or collection.is_moved:
+        own = [None]  # what was multiplied or turned is on it no more
     if len(own) == 1 and own[0] is not None:
         return own[0]
     candidates = [*(grid for grid in own if grid is not None), *_grids_within(survey)]

@@ -116,6 +116,10 @@ class NoMapError(TilingError):
         super().__init__(f"{printable_path(argument)}: {expected}, found {printable(found)}")
 
 
+class SeveralMapsError(NoMapError):
+    """A folder holds maps that are not parts of one."""
+
+
 class ChunkError(MapFormatError):
     """A piece or a chunk of a map that was cut is missing, not whole, or another map's."""
 

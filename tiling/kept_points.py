@@ -140,7 +140,7 @@ class KeptPoints:
         if not self.has_records:
             return PointBatch(first, kept, None)
         batch = self.collection.readers[file].batch_of(first, kept)
-        return self.collection.in_metres(batch)
+        return self.collection.in_map(file, batch)
 
     def _read(self, stream: BinaryIO, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
         kept = np.empty(count, dtype)

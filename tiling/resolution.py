@@ -4,11 +4,12 @@ float32 has 24 bits: at 131 km from the origin they are 1.6 cm apart, at 6,675 k
 metre. LAS says its step itself.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.collection import MapCollection
 from tiling.formats.base import MapReader
 from tiling.formats.points import MapDescription, coordinate_names
 
@@ -31,7 +32,7 @@ def typical_place(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def coarse_step_notes(
-    readers: Sequence[MapReader],
+    collection: MapCollection,
     place: NDArray[np.float64],
     metres: NDArray[np.float64] | None = None,
 ) -> list[str]:
@@ -39,10 +40,10 @@ def coarse_step_notes(
 
     Parameters
     ----------
-    readers : sequence of MapReader
-        Of the map's files.
+    collection : MapCollection
     place : (3,) float64 array
-        Where the points lie, metres from the origin, see `typical_place`.
+        Where the points lie, metres from the origin, see `typical_place`. Scans with poses lie
+        around their own origin, whatever it says.
     metres : (3,) float64 array, optional
         In a unit of the files, along each axis; 1 by default.
 
@@ -53,7 +54,8 @@ def coarse_step_notes(
     """
     unit = np.ones(3) if metres is None else metres
     found: dict[tuple[float, str], dict[str, None]] = {}
-    for reader in readers:
+    place = place * (not collection.is_moved)
+    for reader in collection.readers:
         for axis, step, why in _coarse_steps(reader, place / unit, unit):
             found.setdefault((step, why), {})[axis] = None
     return [_sentence(list(axes), step, why) for (step, why), axes in found.items()]

@@ -13,16 +13,14 @@ import typer
 if TYPE_CHECKING:
     from pipeline.configuration.run import Configuration
 
-Maps = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="MAP...",
-        help="One or more files, a folder, or a glob: together they are one map. "
-        "PCD, LAS, LAZ, COPC, PLY, E57, Parquet, npy, npz, text (xyz, txt, pts, asc, csv), "
-        "KITTI bin.",
-        show_default=False,
-    ),
-]
+MAPS = typer.Argument(
+    metavar="MAP...",
+    help="One or more files, a folder, or a glob: together they are one map. "
+    "PCD, LAS, LAZ, COPC, PLY, E57, Parquet, npy, npz, text (xyz, txt, pts, asc, csv), KITTI bin; "
+    "a folder of scans with poses.",
+    show_default=False,
+)
+Maps = Annotated[list[str], MAPS]
 Output = Annotated[
     str | None,
     typer.Option("-o", "--output", metavar="DIR", help="Output folder. [default: <map>_dynahull]"),

@@ -1,11 +1,13 @@
 """The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import (
+    MAPS,
     TLS,
     ClusterName,
     ConfigurationSource,
@@ -24,7 +26,7 @@ from pipeline.commands.options import (
 
 
 def run_command(
-    maps: Maps,
+    maps: Annotated[list[str] | None, MAPS] = None,
     output: Output = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
@@ -43,6 +45,14 @@ def run_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
+    scans: Annotated[
+        str | None,
+        typer.Option(metavar="FOLDER", help="Scans that are the map, in the place of MAP."),
+    ] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Poses of the scans, KITTI or TUM (input.poses)."),
+    ] = None,
     scheduler: Scheduler = None,
     cluster: ClusterName = None,
     tls: TLS = False,
@@ -59,12 +69,16 @@ def run_command(
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
     wanted += worker_settings(scheduler, cluster, tls) + part_settings(window, height, protect)
+    wanted += [f"input.poses={json.dumps(poses)}"] if poses else []
+    named = [*(maps or []), *([scans] if scans else [])]
+    if not named or (scans and maps):
+        raise typer.BadParameter("expected MAP... or --scans FOLDER", param_hint="MAP...")
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
     check_encryption(configuration, tls)
     with telling_how_to_go_on(), watching() as observer:
-        report = run(maps, Path(output) if output else None, configuration, observer, fresh=fresh)
+        report = run(named, Path(output) if output else None, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
 
 

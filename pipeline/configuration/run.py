@@ -8,7 +8,15 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 
 from dynahull.labels import Label
@@ -117,6 +125,10 @@ class OutputParameters(BaseModel):
         "file, with the fields `label` and `density`, `score` where evidence is weighed, and LAS "
         "classes by `output.classes`.",
     )
+    merge: bool = Field(
+        False,
+        description="Several files become one, in the map's frame; binary PCD, and KITTI's.",
+    )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
     )
@@ -145,6 +157,11 @@ class OutputParameters(BaseModel):
 AnyClass = Annotated[int, Field(ge=0, le=255, strict=True)]
 
 
+def _absolute(path: str) -> str:
+    """Return a name that means the same to workers, which may have another current folder."""
+    return str(Path(path).absolute())
+
+
 class InputParameters(BaseModel):
     """How the map is understood."""
 
@@ -155,6 +172,11 @@ class InputParameters(BaseModel):
         description="Of the coordinates. `auto`: as the map's coordinate reference system says, "
         "metres where it says nothing; degrees are refused. All lengths in this configuration are "
         "metres, whatever the map is in; outputs are in the map's own unit.",
+    )
+    poses: Annotated[str, AfterValidator(_absolute)] | None = Field(
+        None,
+        description="File of the poses of a folder of scans: lines of 12 numbers (KITTI) or 8 "
+        "(TUM). null: what lies beside them.",
     )
     leave_out: tuple[AnyClass, ...] = Field(
         (7, 18),
@@ -200,9 +222,27 @@ class InputParameters(BaseModel):
         return np.asarray(((xyz >= low) & (xyz < high)).all(axis=1))
 
 
+def _switch(value: Any) -> Any:
+    """Return a word in place of what YAML takes it for: `off` is false there."""
+    return "off" if value is False else value
+
+
+class EvidenceParameters(BaseModel):
+    """What `removal.decision: auto` knows beside the points."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    time: Annotated[str, Field(min_length=1), BeforeValidator(_switch)] = Field(
+        "auto",
+        description="When points were seen: `auto`, as a field or the order of the rows surely "
+        "tells; a field's name; or `off`.",
+    )
+
+
 class Configuration(MethodParameters):
     """Everything a run can be told: the sections of the method, and those of the product."""
 
+    evidence: EvidenceParameters = EvidenceParameters()
     input: InputParameters = InputParameters()
     tiling: TilingParameters = TilingParameters()
     execution: ExecutionParameters = ExecutionParameters()

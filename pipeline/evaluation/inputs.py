@@ -127,8 +127,14 @@ def _read_run(folder: Path) -> _RunFolder | None:
         return None
     try:
         files = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))["files"]
+        if any(file.get("pose") for file in files):
+            raise EvaluationError(
+                f"{folder}: expected a map in one frame, found scans; run with output.merge=true"
+            )
         return _RunFolder(
-            cleaned=tuple(folder / (file.get("labelled") or file["static"]) for file in files),
+            cleaned=tuple(
+                dict.fromkeys(folder / (file.get("labelled") or file["static"]) for file in files)
+            ),
             labelled=any(file.get("labelled") for file in files),
             originals=tuple(Path(file["path"]) for file in files),
             labels=folder / LABELS_FILE,

@@ -16,7 +16,7 @@ from pipeline.nightly.journal import Fingerprint, MapRecord
 from pipeline.nightly.settings import NightlyInput, NightlySettings
 from pipeline.showing import is_text
 from tiling.collection import content_hash, find_map_files
-from tiling.errors import NoMapError
+from tiling.errors import NoMapError, SeveralMapsError, TilingError
 
 _COARSEST_TIME = 2.0
 """Seconds between two changes of a file that its dates tell apart on any file system (FAT)."""
@@ -114,7 +114,7 @@ def _look_into(given: NightlyInput) -> Iterator[tuple[Path, tuple[Path, ...]] | 
         given.root.stat()
         yield from _closed_folders(given.maps)
         if given.each == "file":
-            for path in _map_files(given.maps):
+            for path in _map_files(given.maps, as_one=False):
                 yield path, (path,)
             return
         folders = _folders(given.maps)
@@ -123,9 +123,12 @@ def _look_into(given: NightlyInput) -> Iterator[tuple[Path, tuple[Path, ...]] | 
         return
     for folder in folders:
         try:
-            files = _map_files(str(folder))
+            files = _map_files(str(folder), as_one=True)
         except OSError as error:
             yield _problem(error, folder)
+            continue
+        except TilingError as error:
+            yield Problem(folder, str(error))
             continue
         if files:
             yield folder, files
@@ -163,9 +166,11 @@ def _folders(maps: str) -> list[Path]:
     return sorted(each for each in found if each.is_dir() and not each.name.startswith("."))
 
 
-def _map_files(maps: str) -> tuple[Path, ...]:
+def _map_files(maps: str, as_one: bool) -> tuple[Path, ...]:
     try:
-        return find_map_files([maps])
+        return find_map_files([maps], as_one)
+    except SeveralMapsError:
+        raise
     except NoMapError as error:
         if isinstance(error.__cause__, OSError):
             raise error.__cause__ from None

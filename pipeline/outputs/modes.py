@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dynahull.labels import Label
 from pipeline.configuration.run import Configuration, OutputParameters
 from pipeline.errors import ConfigurationError
+from tiling.errors import MapFormatError
 from tiling.formats import Field, MapReader, MapWriter, PointBatch
 from tiling.formats.parts import PartWriter
 
@@ -184,6 +185,8 @@ def check_mode(readers: Sequence[MapReader], configuration: Configuration) -> No
         When points of the file cannot have further fields.
     """
     output = configuration.output
+    if output.merge:
+        _check_merging(readers)
     if output.mode != "label":
         return
     for reader in readers:
@@ -197,6 +200,16 @@ def check_mode(readers: Sequence[MapReader], configuration: Configuration) -> No
                     f"{description.path}: {description.format} has classes 0 to "
                     f"{description.largest_class}, found output.classes.{label.title} {number}"
                 )
+
+
+def _check_merging(readers: Sequence[MapReader]) -> None:
+    """Refuse files whose points cannot be in one file."""
+    first = readers[0].merged().description
+    for reader in readers:
+        said = reader.description
+        if (said.format, said.fields) != (first.format, first.fields):
+            expected = f"format and fields of {first.path}, as output.merge is set"
+            raise MapFormatError(said.path, expected, f"{said.format}, other fields or both")
 
 
 def mode_of(

@@ -62,6 +62,8 @@ def read_result(folder: Path) -> ResultPoints:
     try:
         report = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
         files = [dict(file) for file in report["files"]]
+        if report["configuration"]["output"].get("merge"):
+            files = files[:1]
     except (OSError, ValueError, KeyError, TypeError):
         raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
     table = folder / LABELS_FILE
@@ -91,12 +93,12 @@ def _finite(xyz: Points, labels: Labels, density: Densities | None) -> ResultPoi
 def _points_in_order(folder: Path, file: dict[str, Any], labels: Labels) -> Points:
     """Read the points of one input file, in its order, from what was written of it."""
     if file.get("labelled"):
-        xyz = _read_xyz(folder / file["labelled"])
+        xyz = _read_xyz(folder, file, "labelled")
         dynamic = np.empty((0, 3))
     else:
         xyz = np.empty((len(labels), 3))
         kept = labels != Label.DYNAMIC
-        static, dynamic = (_read_xyz(folder / file[kind]) for kind in ("static", "dynamic"))
+        static, dynamic = (_read_xyz(folder, file, kind) for kind in ("static", "dynamic"))
         if (len(static), len(dynamic)) == (kept.sum(), len(kept) - kept.sum()):
             xyz[kept], xyz[~kept] = static, dynamic
             return xyz
@@ -111,7 +113,7 @@ def _points_in_order(folder: Path, file: dict[str, Any], labels: Labels) -> Poin
 def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Densities | None]:
     """Read what was written of one input file, where there is no table of labels."""
     if not file.get("labelled"):
-        static, dynamic = (_read_xyz(folder / file[kind]) for kind in ("static", "dynamic"))
+        static, dynamic = (_read_xyz(folder, file, kind) for kind in ("static", "dynamic"))
         labels = np.repeat(
             np.array([Label.STATIC, Label.DYNAMIC], np.uint8), [len(static), len(dynamic)]
         )
@@ -119,7 +121,7 @@ def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Dens
     path = folder / file["labelled"]
     labels = np.concatenate([np.empty(0, np.uint8), *label_batches(path)])
     density = np.concatenate([np.empty(0), *added_values(path, DENSITY)])
-    return _read_xyz(path), labels, density
+    return _read_xyz(folder, file, "labelled"), labels, density
 
 
 def label_batches(path: Path) -> Iterator[Labels]:
@@ -150,8 +152,14 @@ def added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
         raise OutputError(f"{error}; run again with --labels, which writes {LABELS_FILE}") from None
 
 
-def _read_xyz(path: Path) -> Points:
-    return np.concatenate([np.empty((0, 3)), *(batch.xyz for batch in open_map(path).batches())])
+def _read_xyz(folder: Path, file: dict[str, Any], kind: str) -> Points:
+    """Read the points of one output of an input file, in the map's frame."""
+    batches = open_map(folder / file[kind]).batches()
+    xyz = np.concatenate([np.empty((0, 3)), *(batch.xyz for batch in batches)])
+    if file.get("pose") is None:
+        return xyz
+    pose = np.array(file["pose"]).reshape(3, 4)
+    return np.asarray(xyz @ pose[:, :3].T + pose[:, 3])
 
 
 def _read_table(path: Path) -> tuple[Labels, Densities]:

@@ -16,6 +16,7 @@ from pipeline.outputs.folder import OutputNames
 from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
+from pipeline.scan_numbers import ScanSource
 from pipeline.showing import printable
 from pipeline.units import of_map
 from tiling.collection import MapCollection
@@ -25,7 +26,10 @@ FileName = Annotated[str, SkipValidation]
 
 
 class InputFile(BaseModel):
-    """One file of the map, and the names of what became of it in the output folder."""
+    """One file of the map, and the names of what became of it in the output folder.
+
+    Of a scan that lies in its sensor's frame `pose` is the matrix to the map's, row by row.
+    """
 
     path: FileName
     format: str
@@ -35,6 +39,7 @@ class InputFile(BaseModel):
     static: FileName | None = None
     dynamic: FileName | None = None
     labelled: FileName | None = None
+    pose: list[float] | None = None
 
     @property
     def outputs(self) -> list[str]:
@@ -106,6 +111,8 @@ class RunReport(BaseModel):
     warnings : list of str
     system : str
         Coordinate reference system and unit of the map, in words.
+    time : str or None
+        What told when points were seen, in words; None where the evidence was not asked.
     configuration : dict
         As resolved; the same as in `config.yaml`.
     """
@@ -130,6 +137,7 @@ class RunReport(BaseModel):
     peak_memory_all_bytes: int | None = None
     warnings: list[FileName]
     system: str = ""
+    time: str | None = None
     configuration: dict[str, Any]
 
     @classmethod
@@ -142,6 +150,7 @@ class RunReport(BaseModel):
         counts: dict[str, int],
         clusters: Sequence[ClusterSummary],
         decision: Decision | None,
+        source: ScanSource | None,
         names: OutputNames,
         observer: StageObserver,
     ) -> "RunReport":
@@ -173,6 +182,7 @@ class RunReport(BaseModel):
             + available_cores(configuration.execution.workers) * peak_of_workers(),
             warnings=list(observer.warnings),
             system=of_map(collection, configuration.input),
+            time=None if decision is None else str(source or "none"),
             configuration=configuration.model_dump(mode="json"),
         )
 
@@ -206,6 +216,8 @@ class RunReport(BaseModel):
         ]
         if not self.system.startswith("none, metres"):
             lines.append(f"coordinates: {self.system}")
+        if self.time not in (None, "none"):
+            lines.append(f"time: {self.time}")
         if self.clusters:
             lines.append(f"{'cluster':>9}{'points':>14}{'R_i':>9}{'threshold':>14}{'removed':>12}")
         for cluster in self.clusters:
@@ -278,9 +290,17 @@ def _input_files(collection: MapCollection, names: OutputNames) -> list[InputFil
             size_bytes=reader.description.path.stat().st_size,
             points=reader.description.point_count,
             first_row=first_row,
-            **{kind: str(files[number]) for kind, files in names.by_kind.items()},
+            pose=_pose(collection, number) if len(names.by_file) > 1 else None,
+            **{kind: str(files[number % len(files)]) for kind, files in names.by_kind.items()},
         )
         for number, (reader, first_row) in enumerate(
             zip(collection.readers, collection.first_rows, strict=True)
         )
     ]
+
+
+def _pose(collection: MapCollection, file: int) -> list[float] | None:
+    """Return where the points of a file's outputs lie in the map, if they lie elsewhere."""
+    if collection.poses is None or not collection.is_moved:
+        return None
+    return [float(value) for value in collection.poses.poses[file].ravel()]

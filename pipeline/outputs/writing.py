@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from pipeline.outputs.modes import PointScores, mode_of
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views
+from pipeline.scan_numbers import ScanSource
 from tiling.collection import MapCollection
 from tiling.formats import PointBatch, open_map
 from tiling.formats.points import DEFAULT_BATCH
@@ -49,6 +50,8 @@ class CleanedMap:
         Gives what the report shows; None where none is wanted.
     tiles : TileWork or None
         What they took; None where no report is wanted, or the map is one tile.
+    source : ScanSource or None
+        What told when points were seen; None where nothing did, or nobody asked.
     """
 
     labels: NDArray[np.uint8]
@@ -61,6 +64,7 @@ class CleanedMap:
     decision: Decision | None
     views: Callable[[], Views] | None = None
     tiles: TileWork | None = None
+    source: ScanSource | None = None
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
@@ -93,6 +97,8 @@ def write_maps(
 ) -> None:
     """Stream the input once more into its outputs, in order, with all fields.
 
+    With `output.merge`, all files go into the same outputs, in the map's frame.
+
     Parameters
     ----------
     collection : MapCollection
@@ -113,6 +119,9 @@ def write_maps(
     LostPointsError
         When the files written do not add up to the input.
     """
+    if output.merge:
+        _write_merged(collection, output, labels, scores, outputs[0], observer)
+        return
     first_rows = [*collection.first_rows, collection.point_count]
     rows = [slice(*bounds) for bounds in pairwise(first_rows)]
     streams = [index for index in range(len(outputs)) if index not in written]
@@ -139,6 +148,38 @@ def write_maps(
             raise LostPointsError(
                 f"{reader.description.path}: {points} points read, {found} written"
             )
+
+
+def _write_merged(
+    collection: MapCollection,
+    output: OutputParameters,
+    labels: NDArray[np.uint8],
+    scores: PointScores | None,
+    outputs: Sequence[Path],
+    observer: StageObserver,
+) -> None:
+    """Write the points of all files into one file of each kind, in the map's frame."""
+    count = collection.point_count
+    observer.stage("write", count)
+    mode = mode_of(collection.readers[0].merged(), output, labels, scores)
+    metres = 1.0 if collection.metres is None else collection.metres
+    with ExitStack() as stack:
+        writers = [
+            stack.enter_context(each.writer(path, points))
+            for each, path, points in zip(
+                mode.formats, outputs, mode.counts(range(count)), strict=True
+            )
+        ]
+        for file, batch in collection.batches():
+            if collection.is_moved:
+                moved = collection.readers[file].moved(batch.records, batch.xyz / metres)
+                batch = replace(batch, records=moved)  # noqa: PLW2901
+            for writer, records in zip(writers, mode.records(batch), strict=True):
+                writer.write(records)
+            observer.advance(len(batch.xyz))
+    found = sum(open_map(path).description.point_count for path in outputs)
+    if found != count:
+        raise LostPointsError(f"{collection.name}: {count} points read, {found} written")
 
 
 def write_labels(cleaned: CleanedMap, path: Path) -> None:

@@ -23,18 +23,28 @@ from pipeline.eligibility import survey_of_others
 from pipeline.errors import PlanError
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
+from pipeline.scan_numbers import find_scans
 from pipeline.tiles.cutting import make_copies, save_set_aside, set_aside, warn_of_set_aside
 from pipeline.tiles.density import KeptScores, first_cluster
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.labelling import RowResults, save_cuts
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.work.files import write_arrays
+from pipeline.work.files import write_arrays, write_sealed
 from pipeline.work.folder import TaskReport, remove_work
-from pipeline.work.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
+from pipeline.work.job import (
+    CHUNKS_FOLDER,
+    CLUSTERS_FILE,
+    FITTING,
+    PLANNING,
+    SCANS_FILE,
+    TIMING,
+    Job,
+)
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
 from tiling.chunk_store import ChunkCompression, ChunkStore
+from tiling.collection import MapCollection
 from tiling.common_grid import grid_of
 from tiling.errors import GridError
 from tiling.ledger import noting
@@ -70,7 +80,7 @@ def clean_tiles(
     """
     plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
     place = job.store.layout.typical_place()
-    for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
+    for note in coarse_step_notes(job.collection, place, job.collection.metres):
         observer.warn(note)
     cut_into_pieces(job, executor, observer, "ground")
     tiles = job.store.layout.counts.tolist()
@@ -101,6 +111,20 @@ def clean_tiles(
     if job.configuration.removal.weighs_evidence:
         warn_of_much_removed(clusters, observer)
     return {label.title: int(found[label]) for label in Label}, clusters
+
+
+def find_times(job: Job, collection: MapCollection, observer: StageObserver) -> None:
+    """Find out what tells when points were seen, where the evidence is weighed.
+
+    The map is the job's, opened so that all cores read it.
+    """
+    if not job.configuration.removal.weighs_evidence or job.work.has_done(TIMING):
+        return
+    source = find_scans(collection, job.configuration, observer)
+    stored = None if source is None else source.model_dump(mode="json")
+    with noting() as written:
+        write_sealed(job.root / SCANS_FILE, {"source": stored})
+    job.work.finish_step(TIMING, written)
 
 
 def plan_tiles(

@@ -131,6 +131,9 @@ def make_copies(job: Job) -> None:
         make_sized(job.rows_path("class"), job.collection.point_count)
     if may_mark(job.collection, job.configuration):
         make_sized(job.rows_path(_MARKS), job.collection.point_count)
+    if job.scan_source is not None:
+        size = job.collection.point_count * np.dtype(np.int32).itemsize
+        make_sized(job.rows_path("scan"), size)
     if job.decoded is not None:
         job.decoded.make()
 
@@ -138,10 +141,8 @@ def make_copies(job: Job) -> None:
 def survey_rows(job: Job, number: int) -> TaskReport:
     """Survey one range of rows; keep of them what the map need not be read for again."""
     rows = job.row_ranges[number]
-    read = job.collection.batches(rows=rows)
+    read = _values_kept(job, job.collection.batches(rows=rows))
     batches = (batch for _, batch in read) if job.decoded is None else job.decoded.keep(read)
-    if job.needs_classes:
-        batches = _classes_kept(job, batches)
 
     def note(first_row: int, found: NDArray[np.uint8]) -> None:
         write_rows(job.rows_path(_MARKS), first_row, found)
@@ -152,11 +153,18 @@ def survey_rows(job: Job, number: int) -> TaskReport:
     return TaskReport(len(rows), (watcher.left_out,))
 
 
-def _classes_kept(job: Job, batches: Iterator[PointBatch]) -> Iterator[PointBatch]:
-    for batch in batches:
-        if batch.classification is not None:
+def _values_kept(
+    job: Job, read: Iterator[tuple[int, PointBatch]]
+) -> Iterator[tuple[int, PointBatch]]:
+    """Keep classes and scan numbers of points that pass, where they are needed."""
+    source = job.scan_source
+    for file, batch in read:
+        if job.needs_classes and batch.classification is not None:
             write_rows(job.rows_path("class"), batch.first_row, batch.classification)
-        yield batch
+        if source is not None:
+            numbers = source.numbers(job.collection, file, batch)
+            write_rows(job.rows_path("scan"), batch.first_row, numbers)
+        yield file, batch
 
 
 def cut_rows(job: Job, number: int) -> TaskReport:

@@ -3,15 +3,21 @@
 It is kept in the work folder, so that a task needs no more than the folder's name and its number.
 """
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dynahull.clustering import Clusters
 from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
+from pipeline.errors import InputChangedError
+from pipeline.scan_numbers import ScanSource
 from pipeline.units import open_collection
-from pipeline.work.files import read_arrays, read_sealed, write_sealed
+from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunk_store import ChunkStore
@@ -23,9 +29,11 @@ JOB_FILE = "job.json"
 CLUSTERS_FILE = "clusters.arrays"
 CHUNKS_FOLDER = "tiles"
 DECODED_FILE = "map.decoded"
+SCANS_FILE = "scans.json"
 
-PLANNING, FITTING, CREATING = "plan", "clustering", "outputs"
-"""Steps that are about the whole map and are not shared out: tiles, clusters, outputs in parts."""
+TIMING, PLANNING, FITTING, CREATING = "times", "plan", "clustering", "outputs"
+"""Steps that are about the whole map and are not shared out: what tells when points were seen,
+tiles, clusters, outputs in parts."""
 
 ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -46,6 +54,8 @@ class Job:
     state : MapState
         Theirs, when the key was made.
     configuration : Configuration
+    poses : str or None
+        The hash of the scans' poses, when the key was made.
     """
 
     root: Path
@@ -53,6 +63,7 @@ class Job:
     paths: tuple[Path, ...]
     state: MapState
     configuration: Configuration
+    poses: str | None = None
 
     def save(self) -> None:
         """Write what `open` reads."""
@@ -61,6 +72,7 @@ class Job:
             "paths": [str(path.resolve()) for path in self.paths],
             "state": self.state,
             "configuration": self.configuration.model_dump(mode="json"),
+            "poses": _hash_of(self.collection),
         }
         write_sealed(self.root / JOB_FILE, values)
 
@@ -77,8 +89,17 @@ class Job:
 
     @cached_property
     def collection(self) -> MapCollection:
-        """The map."""
-        return open_collection(self.paths, self.configuration.input)
+        """The map.
+
+        Raises
+        ------
+        InputChangedError
+            When the poses of its scans are others than they were.
+        """
+        collection = open_collection(self.paths, self.configuration.input)
+        if self.poses is not None and self.poses != _hash_of(collection):
+            raise InputChangedError(f"{collection.name}: its poses changed while it was cleaned")
+        return collection
 
     @cached_property
     def row_ranges(self) -> list[range]:
@@ -116,6 +137,20 @@ class Job:
         """The model of the whole map; there once it is fitted."""
         return Clusters(*read_arrays(self.root / CLUSTERS_FILE, "centroids"))
 
+    @cached_property
+    def scan_source(self) -> ScanSource | None:
+        """What tells the scan of each point, if anything; there once that is looked for."""
+        path = self.root / SCANS_FILE
+        stored = read_sealed(path)["source"] if path.exists() else None
+        return None if stored is None else ScanSource.model_validate(stored)
+
+    @property
+    def scans(self) -> NDArray[np.int32] | None:
+        """The scan number of every row, -1 where not known, in a file; None where nothing tells."""
+        if self.scan_source is None:
+            return None
+        return open_rows(self.rows_path("scan"), np.int32)
+
     @property
     def needs_classes(self) -> bool:
         """Whether the ground is told by the classes of a LAS map."""
@@ -133,7 +168,7 @@ class Job:
         return undone and not all(has_chunk(self.store, tile) for tile in tiles)
 
     def rows_path(self, name: str) -> Path:
-        """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""
+        """Return the file of one value a row: `label`, `cluster`, `density`, `class` or `scan`."""
         return self.root / f"{name}.rows"
 
 
@@ -147,4 +182,10 @@ def _opened(root: Path, time: int) -> Job:
         tuple(Path(path) for path in stored["paths"]),
         tuple((size, written, changed, inode) for size, written, changed, inode in stored["state"]),
         Configuration.model_validate(stored["configuration"]),
+        stored["poses"],
     )
+
+
+def _hash_of(collection: MapCollection) -> str | None:
+    poses = collection.poses
+    return None if poses is None else hashlib.sha256(poses.to_bytes()).hexdigest()

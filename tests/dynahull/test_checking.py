@@ -214,3 +214,19 @@ def test_a_configuration_of_the_product_is_taken_with_sections_in_place_of_its_o
 
 def test_the_package_shows_what_it_has():
     assert {"clean", "DynaHull", "Label", "InvalidPointsError"} <= set(dir(dynahull))
+
+
+@pytest.mark.parametrize(
+    "scan", [[0, 1], np.zeros(len(POINTS)), np.full(len(POINTS), -2), np.full(len(POINTS), 2**31)]
+)
+def test_scan_numbers_that_are_none_are_refused(scan):
+    with pytest.raises(InvalidPointsError, match="scan: expected"):
+        clean(POINTS, scan=scan)
+
+
+def test_scan_numbers_are_taken():
+    scan = np.arange(len(POINTS)) - 1
+    assert len(clean(POINTS, "auto", scan=scan).labels) == len(POINTS)
+    assert len(DynaHull(configuration="auto").fit_predict(POINTS, scan=scan)) == len(POINTS)
+    with pytest.raises(InvalidPointsError, match="scan: expected"):
+        DynaHull(configuration="auto").fit(POINTS, scan=scan[1:])

@@ -98,8 +98,34 @@ def test_what_cannot_be_read_is_one_line_that_names_it(tmp_path):
         values_of(tmp_path / "a.npz", "name")
     (tmp_path / "a.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
-        "property float z\nproperty uchar label\nend_header\n0 0 0 1\n",
+        "property float z\nproperty uchar label\nproperty list uchar int seen\nend_header\n"
+        "0 0 0 1 2 5 6\n",
         encoding="ascii",
     )
-    with pytest.raises(MapFormatError, match=r"found one in \.ply"):
+    with pytest.raises(MapFormatError, match=r"fields can be read apart, found PLY"):
         values_of(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("order", ["", "<", ">"])
+def test_ply_of_any_encoding(tmp_path, order):
+    names = {"": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}
+    header = (
+        f"ply\nformat {names[order]} 1.0\nelement vertex {COUNT}\nproperty ushort label\n"
+        "property float x\nproperty float y\nproperty float z\nproperty double time\nend_header\n"
+    )
+    fields = [("label", "u2"), ("xyz", "f4", 3), ("time", "f8")]
+    records = np.zeros(COUNT, np.dtype(fields).newbyteorder(order or "<"))
+    records["xyz"], records["label"], records["time"] = XYZ, LABELS, XYZ[:, 0] / 3
+    data = records.tobytes()
+    if not order:
+        rows = zip(LABELS.tolist(), XYZ.tolist(), records["time"].tolist(), strict=True)
+        data = "\n".join(f"{a} {x} {y} {z} {t!r}" for a, (x, y, z), t in rows).encode()
+    (tmp_path / "a.ply").write_bytes(header.encode() + data)
+    np.testing.assert_array_equal(values_of(tmp_path / "a.ply"), LABELS)
+    np.testing.assert_array_equal(values_of(tmp_path / "a.ply", "time"), XYZ[:, 0] / 3)
+
+
+def test_columns_without_names_are_numbered(tmp_path):
+    for order in "CF":
+        np.save(tmp_path / "a.npy", np.asarray(np.column_stack([XYZ, LABELS]), order=order))
+        np.testing.assert_array_equal(values_of(tmp_path / "a.npy", "column 4"), LABELS)

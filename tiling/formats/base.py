@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.errors import PartsError, PointCountError
+from tiling.errors import MapFormatError, PartsError, PointCountError
 from tiling.formats.parts import PartWriter
 from tiling.formats.points import DEFAULT_BATCH, Field, MapDescription, PointBatch, checked_rows
 
@@ -173,6 +173,39 @@ class MapReader(ABC):
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make the batch again that had these records, an array of `record_dtype`."""
         raise NotImplementedError(f"{self.description.format}: records of no fixed size")
+
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one field of some points, (n,), as the file has it.
+
+        Parameters
+        ----------
+        records : opaque
+            Of a batch of this reader.
+        name : str
+            A field with one value a point, by its name in the description.
+
+        Raises
+        ------
+        MapFormatError
+            When the fields of this map cannot be read apart.
+        """
+        said = self.description
+        raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
+
+    def merged(self) -> "MapReader":
+        """Return what writes the points of several maps like this one into one, in one frame.
+
+        Raises
+        ------
+        MapFormatError
+            When maps of this format have more to agree on than their fields.
+        """
+        said = self.description
+        raise MapFormatError(said.path, "PCD in binary, or KITTI's, to be merged", said.format)
+
+    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
+        """Return the records of points with other coordinates, (n, 3); see `merged`."""
+        raise NotImplementedError(f"{self.description.format}: never merged")
 
     @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:

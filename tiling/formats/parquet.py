@@ -219,6 +219,10 @@ class ParquetReader(MapReader):
             yield part
             start = stop
 
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one column of some rows, nulls as NaN; see `MapReader.values`."""
+        return np.asarray(records.column(name).to_numpy())
+
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a table like this one; see `MapReader.writer`."""
         return _ParquetWriter(path, point_count, self._schema, self._layout)

@@ -68,6 +68,8 @@ class MapDescription:
         The grid that all coordinates are on (LAS).
     notes : tuple of str
         What an output of this kind cannot carry over, one plain sentence each.
+    viewpoint : tuple of 7 float or None
+        Where the sensor was, and its quaternion, w first, where the file says it (PCD).
     """
 
     path: Path
@@ -81,6 +83,7 @@ class MapDescription:
     largest_class: int = 255
     grid: Grid | None = None
     notes: tuple[str, ...] = ()
+    viewpoint: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         """Make what is shown to people, and comes from the file, fit for it."""

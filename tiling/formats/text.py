@@ -11,7 +11,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +152,15 @@ class TextReader(MapReader):
             for rows, xyz in _rows(stream, self._head, self._path, self._count, max_points):
                 yield PointBatch(first_row, xyz, rows)
                 first_row += len(rows)
+
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one value of some rows as a number; see `MapReader.values`."""
+        rows: TextRows = records
+        column = self._head.names.index(name)
+        try:
+            return rows.column(column, np.dtype(np.float64), self._head.layout.separator)
+        except ValueError as error:
+            raise MapFormatError(self._path, f"numbers in the field {name}", str(error)) from None
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of rows below the same head; see `MapReader.writer`."""

@@ -75,6 +75,16 @@ class TextRows:
         bounds = np.cumsum([0, *map(len, rows)], dtype=np.int64)
         return TextRows(np.frombuffer(b"".join(rows), np.uint8), bounds[:-1], bounds[1:])
 
+    def column(self, number: int, dtype: np.dtype[Any], separator: bytes = b"") -> NDArray[Any]:
+        """Return a value of each row, counted from 0: whole numbers as such, others as float64."""
+        text = self.text.tobytes()
+        bounds = zip(self.starts, self.stops, strict=True)
+        words = (text[a:b].split(separator or None)[number] for a, b in bounds)
+        values = np.array([float(word) for word in words], dtype=np.float64)
+        whole = dtype.kind in "iu" and bool(np.isfinite(values).all())
+        with np.errstate(invalid="ignore"):
+            return values.astype(dtype) if whole else values
+
     def tobytes(self) -> bytes:
         """Return the rows' text, one row after the other."""
         joined = np.empty(int((self.stops - self.starts).sum()), dtype=np.uint8)

@@ -100,6 +100,27 @@ class LasReader(MapReader):
         xyz, classes = coordinates(records, header), _classes(records, header)
         return PointBatch(first_row, xyz, records, classes, _withheld(records, header))
 
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one field of some points, as laspy takes them apart; see `MapReader.values`."""
+        from laspy.point.record import PackedPointRecord  # noqa: PLC0415 (slow to import)
+
+        return np.asarray(PackedPointRecord.from_buffer(records.data, self._point_format)[name])
+
+    @cached_property
+    def _point_format(self) -> Any:
+        from laspy import LasHeader as Header  # noqa: PLC0415
+
+        with self._header.path.open("rb") as file:
+            try:
+                found = Header.read_from(file).point_format
+            except Exception as error:  # laspy raises many kinds
+                expected = "fields that laspy can take apart"
+                raise MapFormatError(self._header.path, expected, str(error)) from error
+        if found.size != self._header.record_length:
+            expected = f"points of {self._header.record_length} bytes, as laspy reads them"
+            raise MapFormatError(self._header.path, expected, f"{found.size} bytes")
+        return found
+
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map with this one's header, VLRs and EVLRs."""
         if self._compression is None:

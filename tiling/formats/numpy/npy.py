@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,14 @@ class NpyReader(MapReader):
             for first in range(rows.start, rows.stop, max_points):
                 records = reader.read(min(max_points, rows.stop - first))
                 yield PointBatch(first, header.coordinates(records), records)
+
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one field or column of some rows; see `MapReader.values`."""
+        rows = records.view(self._header.dtype)
+        if self._header.dtype.names:
+            return np.asarray(rows[name])
+        names = [field.name for field in self.description.fields]
+        return np.asarray(rows.reshape(-1, len(names))[:, names.index(name)])
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an array like this one; see `MapReader.writer`."""

@@ -143,6 +143,15 @@ class NpzReader(MapReader):
                 for reader in readers:
                     reader.finish()
 
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one field, or array of one value a row; see `MapReader.values`."""
+        for number, (owner, header) in enumerate(self._columns):
+            named = header.dtype.names or ()
+            if name in named or (owner == name and not named and header.row_elements == 1):
+                rows = np.ascontiguousarray(records[f"array {number}"]).view(header.dtype)
+                return np.asarray(rows[name] if named else rows)
+        return super().values(records, name)
+
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an archive like this one; see `MapReader.writer`."""
         return _NpzWriter(path, point_count, self._path, self._members)

@@ -83,6 +83,8 @@ class PcdHeader:
         Points in a row, and rows; a height above 1 makes the cloud an organised one.
     encoding : str
         `"ascii"`, `"binary"` or `"binary_compressed"`.
+    viewpoint : tuple of 7 float or None
+        Where the sensor was, and its quaternion, w first.
     """
 
     lines: tuple[bytes, ...]
@@ -91,6 +93,7 @@ class PcdHeader:
     width: int
     height: int
     encoding: str
+    viewpoint: tuple[float, ...] | None = None
 
     @property
     def point_count(self) -> int:
@@ -123,6 +126,13 @@ class PcdHeader:
             _COUNT_LINE.sub(lambda found: b"%s%d" % (found[1], counts[found[2]]), line)
             for line in self.lines
         )
+
+    def without_viewpoint(self) -> "PcdHeader":
+        """Return the header of points that no single sensor saw."""
+        lines = tuple(
+            re.sub(rb"^(\s*VIEWPOINT)[^\r\n]*", rb"\1 0 0 0 1 0 0 0", line) for line in self.lines
+        )
+        return replace(self, lines=lines, viewpoint=None)
 
     def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PcdHeader":
         """Return the header of points with further fields of one value each."""
@@ -175,7 +185,7 @@ def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
     lines, entries = _read_entries(stream, path)
     fields = _fields(entries, path)
     width, height = _extent(entries, path)
-    _check_viewpoint(entries, path)
+    viewpoint = _viewpoint(entries, path)
     kind = entries["DATA"].values[0].lower()
     if kind not in ENCODINGS:
         raise MapFormatError(
@@ -185,7 +195,7 @@ def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
             f"line {entries['DATA'].line}",
         )
     coordinates = _coordinates(fields, entries, path)
-    return PcdHeader(lines, fields, coordinates, width, height, ENCODINGS[kind])
+    return PcdHeader(lines, fields, coordinates, width, height, ENCODINGS[kind], viewpoint)
 
 
 def _read_entries(stream: BinaryIO, path: Path) -> tuple[tuple[bytes, ...], dict[str, _Entry]]:
@@ -286,10 +296,10 @@ def _extent(entries: dict[str, _Entry], path: Path) -> tuple[int, int]:
     return width, height
 
 
-def _check_viewpoint(entries: dict[str, _Entry], path: Path) -> None:
-    """Demand seven numbers; nothing is done with them."""
+def _viewpoint(entries: dict[str, _Entry], path: Path) -> tuple[float, ...] | None:
+    """Return the seven numbers."""
     if "VIEWPOINT" not in entries:
-        return
+        return None
     values = entries["VIEWPOINT"].values
     try:
         numbers = [float(value) for value in values]
@@ -298,6 +308,7 @@ def _check_viewpoint(entries: dict[str, _Entry], path: Path) -> None:
     if len(numbers) < 7:
         found = repr(_shortened(" ".join(values)))
         raise MapFormatError(path, "7 numbers in VIEWPOINT", found, _line(entries, "VIEWPOINT"))
+    return tuple(numbers[:7])
 
 
 def _number(entries: dict[str, _Entry], keyword: str, path: Path) -> int:

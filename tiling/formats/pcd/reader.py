@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from tiling.formats.pcd import lzf
 from tiling.formats.pcd.column_spool import ColumnSpool
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.text_rows import RowLayout, TextWriter, read_rows
+from tiling.formats.text_rows import RowLayout, TextRows, TextWriter, read_rows
 from tiling.output_file import create_file
 
 _SIZES = struct.Struct("<II")
@@ -77,6 +77,7 @@ class PcdReader(MapReader):
             point_count=self._header.point_count,
             fields=self._header.described_fields(),
             notes=notes,
+            viewpoint=self._header.viewpoint,
         )
 
     @property
@@ -232,6 +233,41 @@ class PcdReader(MapReader):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
                 yield self.batch_of(first_row, records)
 
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one field of some points; see `MapReader.values`."""
+        field = next(each for each in self._header.fields if each.name == name)
+        if self._header.encoding == "ascii":
+            rows = cast(TextRows, records)
+            return rows.column(self._header.first_value(field), np.dtype(field.dtype))
+        return self._field_of(records, field)
+
+    def merged(self) -> MapReader:
+        """Return what writes several such files into one; see `MapReader.merged`."""
+        floats = all(field.dtype.startswith("float") for field in self._header.coordinates)
+        if self._header.encoding == "ascii" or not floats:
+            return super().merged()
+        model = copy(self)
+        model._header = self._header.without_viewpoint()
+        return model
+
+    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
+        """Return binary records with other coordinates; see `MapReader.moved`."""
+        records = records.copy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            for axis, field in enumerate(self._header.coordinates):
+                self._field_of(records, field)[:] = xyz[:, axis]
+        return records
+
+    def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
+        """Return the first value of a field of binary records."""
+        return np.ndarray(
+            len(records),
+            dtype=np.dtype(field.dtype).newbyteorder("<"),
+            buffer=records,
+            offset=sum(other.width for other in self._stored if other.offset < field.offset),
+            strides=(records.itemsize,),
+        )
+
     @property
     def bytes_per_point(self) -> int:
         """Bytes of a record, or of a short line; see `MapReader.bytes_per_point`."""
@@ -248,17 +284,9 @@ class PcdReader(MapReader):
         """Make a batch of binary records; see `MapReader.batch_of`."""
         xyz = np.empty((len(records), 3), dtype=np.float64)
         for axis, field in enumerate(self._header.coordinates):
-            start = sum(other.width for other in self._stored if other.offset < field.offset)
-            values: NDArray[Any] = np.ndarray(
-                len(records),
-                dtype=np.dtype(field.dtype).newbyteorder("<"),
-                buffer=records,
-                offset=start,
-                strides=(records.itemsize,),
-            )
             # A signalling NaN is no reason to warn.
             with np.errstate(invalid="ignore"):
-                xyz[:, axis] = values
+                xyz[:, axis] = self._field_of(records, field)
         return PointBatch(first_row, xyz, records)
 
 

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
+import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
@@ -16,6 +17,7 @@ from tiling.formats.parts import PartWriter, copy_spans, put_records
 from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply.rows import PlyRows, open_rows
 from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
+from tiling.formats.text_rows import TextRows
 from tiling.output_file import create_file
 
 
@@ -123,6 +125,17 @@ class PlyReader(MapReader):
             if self._spans is None:
                 self._check_behind(file, rows)
                 self._spans = spans
+
+    def values(self, records: Any, name: str) -> NDArray[Any]:
+        """Return one property of some vertices; see `MapReader.values`."""
+        vertex = self._header.vertex
+        if not vertex.is_fixed:
+            return super().values(records, name)
+        if self._header.encoding != "ascii":
+            return np.asarray(records[name])
+        names = [each.name for each in vertex.properties]
+        column = names.index(name)
+        return cast(TextRows, records).column(column, vertex.properties[column].dtype)
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a PLY file like this one; see `MapReader.writer`."""

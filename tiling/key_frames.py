@@ -1,0 +1,248 @@
+"""Key frames: a folder of scans that together are a map, each with the pose of the sensor.
+
+The layouts are those that SLAM programs and data sets have: `NNNNNN/cloud.pcd` beside `data`
+(hdl_graph_slam), `Scans/` beside `optimized_poses.txt` or `poses.txt` (SC-LIO-SAM, Removert),
+`velodyne/` beside `poses.txt` and `calib.txt` (KITTI, SemanticKITTI), and PCD files with the pose
+in VIEWPOINT (`pcd/`, DynamicMap_Benchmark). What a scan's points are turned by is known from where
+its file lies, so that any of the files may be named alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiling.errors import MapFormatError
+from tiling.formats import MapReader, open_map
+
+_SCAN_FOLDERS = ("velodyne", "Scans", "scans")
+_POSE_FILES = ("optimized_poses.txt", "poses.txt")
+_VIEWPOINT_FOLDER = "pcd"
+
+_NOT_A_ROTATION = 1e-2
+"""Largest entry of R R^T - 1: poses are written with few digits."""
+
+_FAR = 5.0
+"""Metres from the origin at which a pose tells which frame the points are in."""
+
+_LOOKED_AT = 20_000
+"""Points of a scan."""
+
+Matrices = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPoses:
+    """Where the sensor was, and where it looked.
+
+    Attributes
+    ----------
+    numbers : (n,) int32 array
+        Of the scans, in the order of time: those of the map's files.
+    poses : (n, 3, 4) float64 array
+        From the sensor's frame to the map's, metres.
+    are_applied : bool
+        Whether the points are in the map's frame already.
+    """
+
+    numbers: NDArray[np.int32]
+    poses: Matrices
+    are_applied: bool = False
+
+    def to_bytes(self) -> bytes:
+        """Return what tells these poses from others."""
+        return bytes([self.are_applied]) + self.poses.astype("<f8").tobytes()
+
+    def to_map(self, file: int, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return points of a file, (n, 3), in the map's frame."""
+        if self.are_applied:
+            return xyz
+        # Term by term: a product of matrices may depend on how many points come at a time.
+        x, y, z = xyz.T
+        with np.errstate(all="ignore"):
+            return np.stack([a * x + b * y + c * z + d for a, b, c, d in self.poses[file]], axis=1)
+
+
+def scan_folder(folder: Path) -> list[Path] | None:
+    """Return the scans of a folder in one of the layouts, in any order; None of another folder."""
+    frames = [each / "cloud.pcd" for each in folder.iterdir() if each.name.isdigit()]
+    frames = [each for each in frames if each.is_file()]
+    if any(each.with_name("data").is_file() for each in frames):
+        return frames
+    for name in _SCAN_FOLDERS:
+        if (folder / name).is_dir() and _pose_file(folder) is not None:
+            return list((folder / name).iterdir())
+    scans = sorted((folder / _VIEWPOINT_FOLDER).glob("*.pcd"))
+    viewpoints = {open_map(path).description.viewpoint for path in scans[:2]}
+    return scans if len(viewpoints) > 1 else None
+
+
+def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanPoses | None:
+    """Find the poses of a map's files; None where they are no scans.
+
+    Parameters
+    ----------
+    readers : sequence of MapReader
+        Of the files.
+    given : Path, optional
+        A file of poses, see `read_poses`, in the place of what lies beside the scans.
+
+    Raises
+    ------
+    MapFormatError
+        When poses are missing, or are no poses.
+    """
+    paths = [reader.description.path for reader in readers]
+    parents = {path.parent for path in paths}
+    parent = paths[0].parent
+    if given is not None:
+        return _of(_matched(paths, read_poses(given), given))
+    framed = all(path.name == "cloud.pcd" and path.parent.name.isdigit() for path in paths)
+    if framed and any(path.with_name("data").is_file() for path in paths):
+        return _of(np.array([_estimate(path.parent / "data") for path in paths]))
+    several = len(paths) > 1 or paths[0].stem.isdigit()
+    if several and len(parents) == 1 and parent.name in _SCAN_FOLDERS:
+        file = _pose_file(parent.parent)
+        if file is not None:
+            poses = _matched(paths, read_poses(file), file)
+            calibration = parent.parent / "calib.txt"
+            is_kitti = parent.name == _SCAN_FOLDERS[0] and calibration.is_file()
+            return _of(_of_scanner(poses, calibration) if is_kitti else poses)
+    if len(paths) > 1 and all(path.suffix.lower() == ".bin" for path in paths):
+        raise MapFormatError(parent, "poses of the scans beside them, or input.poses", "none")
+    return _of_viewpoints(readers)
+
+
+def read_poses(path: Path) -> Matrices:
+    """Read a file of one pose a line, from sensor to map, (n, 3, 4).
+
+    Lines have 12 numbers, the matrix row by row (KITTI), 13 with the time before them, or 8: time,
+    position, and quaternion with w last (TUM).
+
+    Raises
+    ------
+    MapFormatError
+        When it holds anything else.
+    """
+    expected = "12 numbers a line (KITTI) or 8 (TUM)"
+    try:
+        lines = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    except OSError as error:
+        raise MapFormatError(path, "a file of poses", (error.strerror or "none").lower()) from error
+    except ValueError as error:
+        raise MapFormatError(path, expected, str(error)) from error
+    if lines.shape[1] == 8:
+        poses = _of_quaternions(lines[:, 1:4], lines[:, [7, 4, 5, 6]])
+    elif lines.shape[1] in (12, 13):
+        poses = lines[:, -12:].reshape(-1, 3, 4)
+    else:
+        raise MapFormatError(path, expected, f"{len(lines)} lines of {lines.shape[1]}")
+    return _checked(poses, path)
+
+
+def _of(poses: Matrices, are_applied: bool = False) -> ScanPoses:
+    return ScanPoses(np.arange(len(poses), dtype=np.int32), poses, are_applied)
+
+
+def _pose_file(folder: Path) -> Path | None:
+    """Return the file of the poses of the scans in a folder, if there is one."""
+    beside = [folder / name for name in _POSE_FILES]
+    absolute = folder.absolute()
+    beside.append(absolute.parent.parent / "poses" / f"{absolute.name}.txt")  # KITTI
+    return next((path for path in beside if path.is_file()), None)
+
+
+def _matched(paths: Sequence[Path], poses: Matrices, source: Path) -> Matrices:
+    """Return the pose of each scan: in order, or by its number where there are others as well."""
+    if len(paths) == len(poses):
+        return poses
+    numbers = [int(path.stem) if path.stem.isdigit() else len(poses) for path in paths]
+    if max(numbers) >= len(poses):
+        raise MapFormatError(source, f"a pose for each of {len(paths)} scans", f"{len(poses)}")
+    return poses[numbers]
+
+
+def _estimate(path: Path) -> Matrices:
+    """Read the pose that hdl_graph_slam estimated, (3, 4)."""
+    expected = "a line `estimate`, and four lines of four numbers"
+    try:
+        words = path.read_text(encoding="utf-8", errors="replace").split()
+    except OSError as error:
+        raise MapFormatError(path, "the data of a key frame", "none") from error
+    try:
+        start = words.index("estimate") + 1
+        pose = np.array(words[start : start + 16], np.float64).reshape(1, 4, 4)
+    except ValueError as error:
+        raise MapFormatError(path, expected, "another text") from error
+    return np.asarray(_checked(pose[:, :3], path)[0])
+
+
+def _of_scanner(poses: Matrices, calibration: Path) -> Matrices:
+    """Return poses of the scanner, from those of KITTI's camera: Tr^-1 P Tr."""
+    text = calibration.read_text(encoding="utf-8", errors="replace")
+    lines = [line.partition(":") for line in text.splitlines()]
+    found = next((values.split() for name, _, values in lines if name.strip() == "Tr"), [])
+    try:
+        to_camera = _square(np.array(found, np.float64).reshape(1, 3, 4))
+    except ValueError as error:
+        raise MapFormatError(calibration, "a line `Tr:` of 12 numbers", "none") from error
+    _checked(to_camera[:, :3], calibration)
+    return np.asarray((np.linalg.inv(to_camera) @ _square(poses) @ to_camera)[:, :3])
+
+
+def _square(poses: Matrices) -> Matrices:
+    last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(poses), 1, 4))
+    return np.concatenate([poses, last], axis=1)
+
+
+def _of_viewpoints(readers: Sequence[MapReader]) -> ScanPoses | None:
+    """Return the poses in VIEWPOINT, where files have different ones."""
+    viewpoints = [reader.description.viewpoint for reader in readers]
+    told = [each for each in viewpoints if each is not None]
+    if len(told) < len(readers) or len(set(told)) < 2:
+        return None
+    values = np.array(told)
+    poses = _checked(_of_quaternions(values[:, :3], values[:, 3:]), readers[0].description.path)
+    return _of(poses, not _are_around_origin(readers, poses))
+
+
+def _are_around_origin(readers: Sequence[MapReader], poses: Matrices) -> bool:
+    """Tell whether points are in the frames of their sensors for sure.
+
+    Programs that write the pose into VIEWPOINT leave the points in the map's frame.
+    """
+    away = np.linalg.norm(poses[:, :, 3], axis=1)
+    votes = []
+    for file in np.argsort(-away, kind="stable")[:5].tolist():
+        batch = next(readers[file].batches(_LOOKED_AT), None) if away[file] > _FAR else None
+        if batch is not None:
+            xyz = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+            to_origin = np.median(np.linalg.norm(xyz, axis=1)) if len(xyz) else np.inf
+            to_sensor = np.median(np.linalg.norm(xyz - poses[file, :, 3], axis=1))
+            votes.append(bool(to_origin < 0.5 * to_sensor))
+    return bool(votes) and all(votes)
+
+
+def _of_quaternions(places: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Matrices:
+    """Return poses, (n, 3, 4); those of quaternions of no length are not finite."""
+    with np.errstate(all="ignore"):
+        w, x, y, z = (wxyz / np.linalg.norm(wxyz, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.concatenate([np.moveaxis(np.array(rows), 2, 0), places[:, :, None]], axis=2)
+
+
+def _checked(poses: Matrices, source: Path) -> Matrices:
+    """Refuse matrices that are no poses: a wrong file must not be taken for one."""
+    turns = poses[:, :, :3]
+    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    wrong = ~np.isfinite(poses).all(axis=(1, 2)) | ~(off < _NOT_A_ROTATION)
+    if wrong.any():
+        place = f"pose {int(np.flatnonzero(wrong)[0]) + 1}"
+        raise MapFormatError(source, "a rotation and a place", "other numbers", place)
+    return poses
