@@ -15,7 +15,7 @@ from pipeline.plan.resources import check_one_tile, is_one_tile
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
 from pipeline.showing import check_named_file, drawing_library, only_showing, printable
-from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
+from pipeline.tiles.cleaning import gather_chunks, plan_tiles
 from pipeline.units import open_collection
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from pipeline.work.job import CHUNKS_FOLDER
@@ -92,7 +92,7 @@ def tile_map(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
             digest = content_hash(paths)
-            job = open_job(work, paths, state, digest, configuration, False, observer, "chunk")
+            job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(job) as executor:
                 plan_tiles(
                     job,
@@ -101,7 +101,6 @@ def tile_map(
                     lambda plan: check_plan(plan, configuration, output),
                     "zstd",
                 )
-                cut_into_pieces(job, executor, observer, "chunk")
                 gather_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)

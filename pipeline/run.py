@@ -100,7 +100,7 @@ def run(
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
         else:
-            job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
+            job = open_job(work, paths, state, digest, configuration, fresh, observer)
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
         if configuration.output.labels:
             write_labels(cleaned, staging / LABELS_FILE)

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -51,17 +50,6 @@ class Chunk:
         return Chunk(self.xyz.take(chosen, axis=0), self.rows.take(chosen), self.core.take(chosen))
 
 
-def joined(chunks: Sequence[Chunk]) -> Chunk:
-    """Return the points of several chunks, one after the other."""
-    nothing = Chunk(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.bool_))
-    together = (nothing, *chunks)
-    return Chunk(
-        np.concatenate([chunk.xyz for chunk in together]),
-        np.concatenate([chunk.rows for chunk in together]),
-        np.concatenate([chunk.core for chunk in together]),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class ChunkStore:
     """A folder for the chunks of one map, cut in one way.
@@ -80,7 +68,7 @@ class ChunkStore:
     grid : Grid or None
         Of the coordinates; needed for LAS, see `tiling.common_grid.grid_of`.
     compression : "zstd" or "lz4"
-        Of chunks in Parquet: half the size, or half the time.
+        Of chunks in Parquet: small, or fast.
     max_points : int
         What a core may hold, unless it is a single column.
     """

@@ -18,6 +18,7 @@ from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
 from dynahull.reference.density import reference_densities
+from dynahull.result import NO_CLUSTER
 from pipeline.tiles.nearest import FreePoints, NearestSoFar, Vicinity
 
 _QUERIES_AT_A_TIME = 4_096
@@ -131,7 +132,9 @@ def core_densities(
     CoreDensities
         For the core points, in their order.
     """
-    membership = clusters.nearest(known.xyz) if len(clusters.centroids) else np.zeros(0, np.int32)
+    membership = np.full(len(known), NO_CLUSTER, np.int32)
+    if len(clusters.centroids):  # a tile's own clusters are none where it has no points
+        membership = clusters.nearest(known.xyz)
     density, spread = _nothing(len(known), parameters)
     reach = np.full(len(known), np.inf)
     pending = np.zeros(len(known), np.bool_)

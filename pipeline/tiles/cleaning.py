@@ -72,13 +72,16 @@ def clean_tiles(
     place = job.store.layout.typical_place()
     for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
         observer.warn(note)
-    cut_into_pieces(job, executor, observer, "ground")
+    gather_chunks(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
+    if job.configuration.ground.method == "slope":
+        exhaust(do_stage(job, executor, observer, "columns", tiles))
     ground = sum(
-        report.counts[1] for _, report in do_stage(job, executor, observer, "ground", tiles)
+        report.counts[0] for _, report in do_stage(job, executor, observer, "ground", tiles)
     )
     warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
-    remove_pieces(job)
+    if job.labelling == "height":
+        exhaust(do_stage(job, executor, observer, "height", tiles))
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
@@ -142,25 +145,14 @@ def plan_tiles(
     job.work.finish_step(PLANNING, [*written, *stored])
 
 
-def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver, stage: str) -> None:
-    """Sort the points of a map whose tiles are planned by tile, for a stage that gathers them."""
-    if not job.needs_pieces(stage):
-        return
-    rows = [len(part) for part in job.cut_ranges]
-    exhaust(do_stage(job, executor, observer, "cut", rows))
-    if job.decoded is not None and not job.decoded.has_records:
-        job.decoded.path.unlink(missing_ok=True)
-
-
 def gather_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
-    """Gather the chunks of a map that is cut into pieces, where no other task does."""
+    """Cut a map whose tiles are planned into chunks: sort its points by tile, and gather these."""
+    if job.needs_pieces():
+        exhaust(do_stage(job, executor, observer, "cut", [len(part) for part in job.cut_ranges]))
+        if job.decoded is not None and not job.decoded.has_records:
+            job.decoded.path.unlink(missing_ok=True)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
-    remove_pieces(job)
-
-
-def remove_pieces(job: Job) -> None:
-    """Remove the pieces: all points are in chunks."""
     shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
 
 
@@ -190,7 +182,7 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
     observer.stage("clustering", len(tiles))
     xyz, rows = np.empty((0, 3)), np.empty(0, np.int64)
     for tile in tiles:
-        more_xyz, more_rows = job.work.load("ground", tile, *SAMPLE_NAMES)
+        more_xyz, more_rows = job.work.load(job.labelling, tile, *SAMPLE_NAMES)
         xyz, rows = np.concatenate([xyz, more_xyz]), np.concatenate([rows, more_rows])
         # A sample of samples is the sample of the whole: so it never grows.
         chosen = sample_rows(rows, job.finite_count, parameters)

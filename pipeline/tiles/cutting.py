@@ -20,7 +20,6 @@ from pipeline.eligibility import Watcher, hidden, may_leave_out, warn_of_left_ou
 from pipeline.work.files import open_rows, read_sealed, write_rows, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunks import assemble
 from tiling.formats.points import PointBatch
 from tiling.output_file import make_sized
 from tiling.pieces import write_pieces
@@ -157,9 +156,3 @@ def cut_rows(job: Job, number: int) -> TaskReport:
     rows = job.cut_ranges[number]
     written = write_pieces(job.store, PointsTakingPart(job), rows, number)
     return TaskReport(len(rows), (written,))
-
-
-def assemble_tile(job: Job, tile: int) -> TaskReport:
-    """Gather the points of a tile from all pieces into its chunk."""
-    chunk = assemble(job.store, tile)
-    return TaskReport(int(job.store.layout.counts[tile]), (len(chunk),))

@@ -8,14 +8,12 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 from dynahull.clustering import Clusters
-from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
 from pipeline.units import open_collection
 from pipeline.work.files import read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunk_store import ChunkStore
-from tiling.chunks import has_chunk
 from tiling.collection import MapCollection
 from tiling.kept_points import KeptPoints
 
@@ -106,10 +104,10 @@ class Job:
         """The map cut into chunks; there once it is planned."""
         return ChunkStore.open(self.root / CHUNKS_FOLDER)
 
-    @cached_property
-    def decision_radius(self) -> float:
-        """Metres within which all points lie that decide whether a point is free of the ground."""
-        return decision_radius(self.configuration.ground, self.configuration.needs_heights)
+    @property
+    def labelling(self) -> str:
+        """The stage after which it is known which points are scored."""
+        return "ground" if self.configuration.max_height is None else "height"
 
     @cached_property
     def clusters(self) -> Clusters:
@@ -126,11 +124,10 @@ class Job:
         """Points of the map that take part, and are in tiles."""
         return int(self.store.layout.counts.sum())
 
-    def needs_pieces(self, stage: str) -> bool:
-        """Tell whether a stage that gathers chunks from the pieces has any to gather yet."""
+    def needs_pieces(self) -> bool:
+        """Tell whether any tile's points are to be gathered yet."""
         tiles = range(len(self.store.layout))
-        undone = any(self.work.report(stage, tile) is None for tile in tiles)
-        return undone and not all(has_chunk(self.store, tile) for tile in tiles)
+        return any(self.work.report("chunk", tile) is None for tile in tiles)
 
     def rows_path(self, name: str) -> Path:
         """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""

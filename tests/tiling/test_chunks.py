@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from tiling import pieces
 from tiling.chunk_store import ChunkStore
-from tiling.chunks import assemble, read_chunk, read_cores
+from tiling.chunks import assemble, read_chunk
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
 from tiling.grid import Grid
@@ -248,22 +248,6 @@ def test_chunks_that_are_missing_or_damaged_are_refused_in_one_line(filled, tmp_
     path.write_bytes(store.chunk_path(2).read_bytes())
     with pytest.raises(ChunkError):
         read_chunk(store, 3)
-
-
-@pytest.mark.parametrize("is_gathered", [True, False])
-def test_cores_of_some_tiles_within_a_box(filled, monkeypatch, is_gathered):
-    xyz, _, store = filled
-    if not is_gathered:  # into chunks: they are still in the pieces
-        monkeypatch.setattr("tiling.chunks.has_chunk", lambda store, tile: tile % 2)
-    low, high = np.array([-3.0, -2.0]), np.array([4.0, 1.5])
-    tiles = store.layout.near(low, high)
-    assert 1 < len(tiles) < len(store.layout)
-    found = read_cores(store, reversed(tiles.tolist()), low, high)
-    inside = ((xyz[:, :2] >= low) & (xyz[:, :2] <= high)).all(axis=1)
-    np.testing.assert_array_equal(found.rows, np.flatnonzero(inside))
-    np.testing.assert_array_equal(found.xyz, xyz[inside])
-    assert found.core.all()
-    assert len(read_cores(store, [], low, high)) == 0
 
 
 def test_parquet_chunks_are_tables_for_other_tools(filled):
