@@ -50,10 +50,19 @@ class Summary:
         return self.select(np.asarray(((flat >= low) & (flat <= high)).all(axis=1)))
 
     def to_arrays(self, name: str) -> dict[str, npt.NDArray[Any]]:
-        """Return the rows as arrays, for a file that hands them from one process to another."""
-        return dict(zip(self.names(name), (self.cells, self.values), strict=True))
+        """Return the rows as arrays for a file that hands them on, integers in few bytes."""
+        return dict(zip(self.names(name), map(_narrowed, (self.cells, self.values)), strict=True))
 
     @staticmethod
     def names(name: str) -> tuple[str, str]:
         """Return the names of these arrays."""
         return f"{name}_cells", f"{name}_values"
+
+
+def _narrowed(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return integers as 32 bits, if these hold them."""
+    limits = np.iinfo(np.int32)
+    if array.dtype.kind != "i" or not len(array):
+        return array
+    fits = limits.min <= array.min() and array.max() <= limits.max
+    return array.astype(np.int32) if fits else array

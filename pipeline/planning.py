@@ -1,6 +1,7 @@
 """A map planned, or cut into chunks, without being cleaned."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.cluster.choice import workers_for
@@ -11,7 +12,7 @@ from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.picture import draw_plan
 from pipeline.plan.plan import check_plan, make_plan
-from pipeline.plan.resources import check_one_tile, is_one_tile
+from pipeline.plan.resources import check_one_tile, is_one_tile, one_tile_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
 from pipeline.showing import check_named_file, drawing_library, only_showing, printable
@@ -56,6 +57,9 @@ def plan_map(
         whole = configuration.tiling.model_copy(update=tiling)
         configuration = configuration.model_copy(update={"tiling": whole})
     plan = make_plan(collection, surveyed, configuration, workers)
+    if one_tile:
+        memory, _ = one_tile_memory(collection, configuration)
+        plan = replace(plan, worker_memory=memory, disk=0)
     drawn = ""
     if picture is not None:
         with only_showing(str(picture), observer.warn):
@@ -95,11 +99,7 @@ def tile_map(
             job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(job) as executor:
                 plan_tiles(
-                    job,
-                    executor,
-                    observer,
-                    lambda plan: check_plan(plan, configuration, output),
-                    "zstd",
+                    job, executor, observer, lambda plan: check_plan(plan, configuration, output)
                 )
                 gather_chunks(job, executor, observer)
             observer.finish()

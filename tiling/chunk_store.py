@@ -1,9 +1,7 @@
 """A folder for the map cut into tiles, and what is in it of each tile."""
 
-import hashlib
 import json
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +14,6 @@ from tiling.grid import Grid
 from tiling.layout import Layout
 
 ChunkFormat = Literal["parquet", "las", "laz"]
-ChunkCompression = Literal["zstd", "lz4"]
 
 _STORE_FILE = "store.json"
 
@@ -67,8 +64,6 @@ class ChunkStore:
         Of the chunks.
     grid : Grid or None
         Of the coordinates; needed for LAS, see `tiling.common_grid.grid_of`.
-    compression : "zstd" or "lz4"
-        Of chunks in Parquet: small, or fast.
     max_points : int
         What a core may hold, unless it is a single column.
     """
@@ -79,7 +74,6 @@ class ChunkStore:
     point_count: int
     format: ChunkFormat = "parquet"
     grid: Grid | None = None
-    compression: ChunkCompression = "zstd"
     max_points: int = 1
 
     def __post_init__(self) -> None:
@@ -87,15 +81,14 @@ class ChunkStore:
             raise ValueError(f"chunks of format {self.format} need a grid")
 
     def make(self) -> None:
-        """Make the folders for pieces and chunks."""
-        for name in ("pieces", "chunks"):
-            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        """Make the folder for chunks."""
+        (self.folder / "chunks").mkdir(parents=True, exist_ok=True)
 
     def save(self) -> None:
-        """Make the folders, and write what `open` reads."""
+        """Make the folder, and write what `open` reads."""
         self.make()
         with atomic_file(self.folder / _STORE_FILE) as temporary:
-            temporary.write_text(self._description, encoding="utf-8")
+            temporary.write_text(self._description(), encoding="utf-8")
 
     @classmethod
     def open(cls, folder: Path) -> "ChunkStore":
@@ -119,11 +112,9 @@ class ChunkStore:
             stored["point_count"],
             stored["format"],
             None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
-            stored["compression"],
             stored["max_points"],
         )
 
-    @cached_property
     def _description(self) -> str:
         return json.dumps(
             {
@@ -131,20 +122,10 @@ class ChunkStore:
                 "point_count": self.point_count,
                 "format": self.format,
                 "grid": None if self.grid is None else [self.grid.scales, self.grid.offsets],
-                "compression": self.compression,
                 "max_points": self.max_points,
                 "layout": self.layout.to_json(),
             }
         )
-
-    @cached_property
-    def key(self) -> bytes:
-        """Sixteen bytes that differ between maps that are cut differently."""
-        return hashlib.sha256(self._description.encode()).digest()[:16]
-
-    def piece_path(self, part: int) -> Path:
-        """Return the file of the points of one range of rows."""
-        return self.folder / "pieces" / f"{part:06d}.piece"
 
     def chunk_path(self, tile: int) -> Path:
         """Return the file of a tile."""

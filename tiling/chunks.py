@@ -1,9 +1,4 @@
-"""The map cut into tiles on disk: for each tile a chunk of its own points and of those around.
-
-Two steps make the chunks, so that several processes can do each side by side, and one that was
-killed can be repeated: `tiling.pieces.write_pieces` sorts a range of the map's rows by tile into
-one file, and `assemble` gathers the points of one tile from all those files.
-"""
+"""The map cut into tiles on disk: for each tile a chunk of its own points and of those around."""
 
 from datetime import date
 from importlib import import_module
@@ -19,41 +14,24 @@ from tiling.chunk_store import Chunk, ChunkStore
 from tiling.errors import ChunkError, GridError
 from tiling.formats.parquet_file import open_parquet
 from tiling.output_file import create_file
-from tiling.pieces import read_tile
 
 _COLUMNS = ("x", "y", "z")
 _CREATED = date(1970, 1, 1)
 """Of every chunk of LAS: the same points give the same bytes on any day."""
 
 
-def assemble(store: ChunkStore, tile: int) -> Chunk:
-    """Gather the points of a tile from all pieces into its chunk, and return them.
+def write_chunk(store: ChunkStore, tile: int, chunk: Chunk) -> None:
+    """Write the chunk of a tile.
 
-    The chunk's bytes depend on the store alone, not on the ranges of rows that were cut. It
-    appears whole or not at all. The memory needed is that of the tile's points, three times.
-
-    Parameters
-    ----------
-    store : ChunkStore
-        Every row of whose map is in a piece.
-    tile : int
-        Its index in the layout.
-
-    Returns
-    -------
-    Chunk
+    Its bytes depend on the points and the store alone. It appears whole or not at all.
 
     Raises
     ------
-    ChunkError
-        When a piece is missing, cut short, or of another map or layout.
     GridError
         When the chunk is LAS, and a point is not on the store's grid.
     """
-    chunk = read_tile(store, tile)
     with atomic_file(store.chunk_path(tile)) as temporary:
         (_write_parquet if store.format == "parquet" else _write_las)(temporary, chunk, store, tile)
-    return chunk
 
 
 def read_chunk(store: ChunkStore, tile: int) -> Chunk:
@@ -84,7 +62,6 @@ def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> No
     columns = {name: chunk.xyz[:, axis] for axis, name in enumerate(_COLUMNS)}
     table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
     table = table.replace_schema_metadata({"tile": store.describe(tile)})
-    fast = store.compression == "lz4"
     split = dict.fromkeys(_COLUMNS, "BYTE_STREAM_SPLIT") | {"row": "DELTA_BINARY_PACKED"}
     # Coordinates hardly repeat, so dictionaries only cost time.
     with create_file(path) as file:
@@ -94,10 +71,9 @@ def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> No
             row_group_size=max(len(chunk), 1),
             use_dictionary=False,
             write_statistics=False,
-            compression=store.compression,
-            compression_level=None if fast else 1,
-            # Twice as fast, and never much larger, whatever the coordinates.
-            column_encoding=split if fast else None,
+            # Fast, as chunks are read several times, and small whatever the coordinates.
+            compression="lz4",
+            column_encoding=split,
         )
 
 

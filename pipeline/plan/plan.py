@@ -139,7 +139,7 @@ def make_plan(
     occupancy, wanted = survey.occupancy, configuration.tiling.halo
     needed = points_around(configuration.ground, configuration.needs_heights, occupancy.cell)
     max_points = tile_budget(collection, configuration, workers)
-    layout = quadtree(occupancy, max_points, needed if wanted == "auto" else max(wanted, needed))
+    layout = quadtree(occupancy, max_points)
     if wanted == "auto":
         wanted = halo_width(layout, occupancy, configuration.neighbours.k)
     halo = max(wanted, needed)

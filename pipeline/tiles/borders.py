@@ -232,16 +232,15 @@ class _Rest:
             for group, slots in groups.items()
         }
         beyond = self._beyond(vicinities)
-        for cluster, outside in beyond.items():
-            inside = np.flatnonzero(self._membership == cluster)
-            inside_xyz = self._known.xyz.take(inside, axis=0)
-            for group, slots in groups.items():
-                if group[0] != cluster:
-                    continue
-                vicinity = vicinities[group]
-                near = inside[vicinity.holds(inside_xyz)]
-                also_near = outside.select(vicinity.holds(outside.xyz))
-                density[slots], spread[slots] = self._densities(near, also_near, queries[slots])
+        from_border = self._region.distance_to_border(self._known.xyz)
+        for (cluster, octave), slots in groups.items():
+            vicinity, outside = vicinities[cluster, octave], beyond[cluster]
+            # Queries are no farther from the border than they reach.
+            close = from_border <= 2.001 * vicinity.reach
+            near = np.flatnonzero(close & (self._membership == cluster))
+            near = near[vicinity.holds(self._known.xyz.take(near, axis=0))]
+            also_near = outside.select(vicinity.holds(outside.xyz))
+            density[slots], spread[slots] = self._densities(near, also_near, queries[slots])
         return density, spread
 
     def _densities(
@@ -272,9 +271,11 @@ class _Rest:
         gathered = {cluster: [nothing] for cluster, _ in vicinities}
         for tile in self._others_met(list(vicinities.values())):
             points = self._others.free_points(tile)
+            from_border = -self._region.distance_to_border(points.xyz)
             near = np.zeros(len(points), np.bool_)
             for vicinity in vicinities.values():
-                near |= vicinity.holds(points.xyz)
+                close = np.flatnonzero(from_border <= 1.001 * vicinity.reach)
+                near[close] |= vicinity.holds(points.xyz.take(close, axis=0))
             points = points.select(near)
             points = points.select(~self._region.holds(points.xyz))
             membership = self._clusters.nearest(points.xyz)

@@ -1,6 +1,5 @@
 """Algorithm 1 over tiles: the same labels and densities as in memory, to the last bit."""
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 
@@ -23,7 +22,13 @@ from pipeline.eligibility import survey_of_others
 from pipeline.errors import PlanError
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
-from pipeline.tiles.cutting import make_copies, save_set_aside, set_aside, warn_of_set_aside
+from pipeline.tiles.cutting import (
+    make_copies,
+    remove_pieces,
+    save_set_aside,
+    set_aside,
+    warn_of_set_aside,
+)
 from pipeline.tiles.density import KeptScores, first_cluster
 from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.labelling import RowResults, save_cuts
@@ -34,7 +39,7 @@ from pipeline.work.folder import TaskReport, remove_work
 from pipeline.work.job import CHUNKS_FOLDER, CLUSTERS_FILE, FITTING, PLANNING, Job
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
-from tiling.chunk_store import ChunkCompression, ChunkStore
+from tiling.chunk_store import ChunkStore
 from tiling.common_grid import grid_of
 from tiling.errors import GridError
 from tiling.ledger import noting
@@ -68,7 +73,7 @@ def clean_tiles(
         Points of each label.
     clusters : tuple of ClusterSummary
     """
-    plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
+    plan_tiles(job, executor, observer, check)
     place = job.store.layout.typical_place()
     for note in coarse_step_notes(job.collection.readers, place, job.collection.metres):
         observer.warn(note)
@@ -111,7 +116,6 @@ def plan_tiles(
     executor: Executor,
     observer: StageObserver,
     check: Callable[[Plan], None],
-    compression: ChunkCompression,
 ) -> None:
     """Survey the map, and plan its tiles."""
     rows = [len(part) for part in job.row_ranges]
@@ -141,7 +145,7 @@ def plan_tiles(
             f"{plan.layout.cell:g} m wide, is not divided"
         )
     with noting() as stored:
-        _store(job, plan, survey, compression).save()
+        _store(job, plan, survey).save()
     job.work.finish_step(PLANNING, [*written, *stored])
 
 
@@ -153,7 +157,7 @@ def gather_chunks(job: Job, executor: Executor, observer: StageObserver) -> None
             job.decoded.path.unlink(missing_ok=True)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
-    shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
+    remove_pieces(job)
 
 
 def find_clusters(job: Job, observer: StageObserver) -> None:
@@ -212,7 +216,7 @@ def _whole_survey(
     return survey_of_others(merged, strays), strays, left_out
 
 
-def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) -> ChunkStore:
+def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:
     chunks = job.configuration.tiling.format
     return ChunkStore(
         job.root / CHUNKS_FOLDER,
@@ -221,7 +225,6 @@ def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) 
         survey.point_count,
         chunks,
         None if chunks == "parquet" else grid_of(job.collection, survey),
-        compression,
         plan.max_points,
     )
 

@@ -1,4 +1,4 @@
-"""The tasks that gather the points of a tile, and take its ground off.
+"""The tasks that take the ground off one tile.
 
 A tile reduces its columns once to what the ground step looks at from afar, and decides about its
 own points by that of all tiles around: see `dynahull.ground`.
@@ -30,18 +30,12 @@ from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
 from tiling.chunk_store import Chunk
-from tiling.chunks import assemble, read_chunk
+from tiling.chunks import read_chunk
 
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 SHOWN_NAMES = ("shown_xyz", "shown_rows")
 LABELS = "labels"
 _LEVELS, _OUTLINES, _FLOORS = "levels", "outlines", "floors"
-
-
-def gather_tile(job: Job, tile: int) -> TaskReport:
-    """Gather the points of a tile from all pieces into its chunk; the report counts them."""
-    chunk = assemble(job.store, tile)
-    return TaskReport(int(job.store.layout.counts[tile]), (len(chunk),))
 
 
 def summarise_tile(job: Job, tile: int) -> TaskReport:

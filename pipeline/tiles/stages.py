@@ -10,10 +10,10 @@ from typing import Any
 from pipeline.errors import TasksFailedError
 from pipeline.plan.machine import give_memory_back
 from pipeline.progress import StageObserver
-from pipeline.tiles.cutting import cut_rows, survey_rows
+from pipeline.tiles.cutting import cut_rows, gather_tile, survey_rows
 from pipeline.tiles.density import score_tile
 from pipeline.tiles.division import SIDES
-from pipeline.tiles.ground import find_ground, find_high, gather_tile, summarise_tile
+from pipeline.tiles.ground import find_ground, find_high, summarise_tile
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.weighing import weigh_tile
 from pipeline.tiles.writing import file_of_part, write_part

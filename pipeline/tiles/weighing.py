@@ -64,5 +64,6 @@ def _around(job: Job, tile: int, box: Region, stage: str, name: str) -> Voxels:
     parts = []
     for near in layout.near(low - REACH, high + REACH).tolist():
         (kept,) = summaries(job, stage, near, name)
-        parts.append(around(Voxels(kept.cells, kept.values), low, high))
+        voxels = Voxels(kept.cells.astype(np.int32), kept.values.astype(np.int64))
+        parts.append(around(voxels, low, high))
     return Voxels.merged(parts)

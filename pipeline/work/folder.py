@@ -153,6 +153,10 @@ class WorkFolder:
         with atomic_file(self.path(stage, task, _ARRAYS)) as temporary:
             write_arrays(temporary, arrays)
 
+    def drop(self, stage: str, task: int) -> None:
+        """Remove the arrays of a task that is done with: no other needs them."""
+        self.path(stage, task, _ARRAYS).unlink(missing_ok=True)
+
     def load(self, stage: str, task: int, *names: str) -> list[NDArray[Any]]:
         """Return arrays of a finished task."""
         return read_arrays(self.path(stage, task, _ARRAYS), *names)

@@ -132,16 +132,11 @@ class _Verification:
             for name in (CHUNKS_FOLDER, "cut", "chunk"):
                 remove(root / name)
             return False
-        store = self._job.store
         self._check(self._markers("chunk"))
         if not self._job.needs_pieces():
             return True
         self._check(self._markers("cut"))
-        done = [self._work.report("cut", part) for part in range(len(self._job.cut_ranges))]
-        whole = {store.piece_path(part) for part, report in enumerate(done) if report}
-        for path in set((store.folder / "pieces").glob("*")) - whole:
-            remove(path)
-        return all(done)
+        return all(self._work.report("cut", part) for part in range(len(self._job.cut_ranges)))
 
     def _markers(self, stage: str) -> list[Path]:
         return list((self._work.root / stage).glob("[!.]*.done"))

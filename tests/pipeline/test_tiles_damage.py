@@ -228,7 +228,7 @@ def test_damage_under_a_running_run_is_not_blamed_on_the_map(
     monkeypatch.setattr("logging.basicConfig", lambda **_: None)
     monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
     for stage, name in [
-        ("ground", "tiles/pieces/000000.piece"),
+        ("chunk", "cut/000000.arrays"),
         ("density", "ground/000001.arrays"),
         ("density", "clusters.arrays"),
         ("label", "cuts.json"),
