@@ -136,7 +136,3 @@ class ChunkStore:
         place = self.layout[tile]
         low, high = place.low.tolist(), place.high.tolist()
         return json.dumps({"tile": tile, "low": low, "high": high, "halo": self.halo})
-
-    def region(self, tile: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return core and halo of a tile: all points of low <= x, y < high, each (2,), metres."""
-        return self.layout.low[tile] - self.halo, self.layout.high[tile] + self.halo

@@ -129,18 +129,6 @@ class Layout:
         _find_tiles(xyz, 1 / self.cell, self.origin, self.begins, self.ends, tiles)
         return tiles
 
-    def within(self, low: Corners, high: Corners, margin: float) -> NDArray[np.intp]:
-        """Return the tiles whose core is within a margin of a box, in the maximum norm.
-
-        Parameters
-        ----------
-        low, high : (2,) float64 arrays
-            The box, metres; may be infinite.
-        margin : float
-            Metres.
-        """
-        return self.near(low - margin, high + margin)
-
     def near(self, low: Corners, high: Corners) -> NDArray[np.intp]:
         """Return the tiles whose core meets a box, (low, high) being (2,) and maybe infinite."""
         meets = (self.low <= high) & (self.high >= low)

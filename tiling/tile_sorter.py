@@ -62,7 +62,7 @@ class TileSorter:
 
     def _find_others(self, tile: int) -> Integers:
         layout = self._layout
-        near = layout.within(layout.low[tile], layout.high[tile], self._halo)
+        near = layout.near(self._reached[0][tile], self._reached[1][tile])
         return np.asarray(near[near != tile], np.int64)
 
 

@@ -25,18 +25,24 @@ from tiling.layout import Layout, quadtree
 from tiling.occupancy import Occupancy, count_within
 from tiling.survey import Survey
 
-_PIECE_BYTES, _CHUNK_BYTES = 32, 26
-"""A point of a tile, core or halo, in pieces and in its chunk; both lie there while the chunks are
-gathered."""
+_PIECE_BYTES = 32
+"""A point of a tile, core or halo, until all chunks are gathered."""
 
-_LATER_BYTES = 50
-"""A point of the map in what tasks keep once the pieces are gone: columns, densities, labels."""
+_CHUNK_BYTES = {"parquet": 26, "las": 40, "laz": 40}
+"""The same in chunks, at most."""
+
+_LATER_BYTES = 30
+"""A point of the map in what tasks keep once the pieces are gone, at most: columns; then densities
+and labels."""
 
 _SCORE_BYTES = 40
 """More, where scores are written."""
 
-_EVIDENCE_BYTES = 300
+_EVIDENCE_BYTES = 220
 """More, where evidence is weighed, at most: spread, terms that are kept, voxels."""
+
+_SAMPLE_BYTES, _SAMPLED = 120, 300_000
+"""A point, of so many, that clusters are fitted on or that the report shows."""
 
 _MICROSECONDS_A_POINT = 8.0
 """Of the core; on one worker of a machine of 2023."""
@@ -149,8 +155,9 @@ def make_plan(
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
     later = _LATER_BYTES + (_EVIDENCE_BYTES if weighs else 0)
     later += _SCORE_BYTES if configuration.output.needs_scores else 0
-    chunks = all_held * _CHUNK_BYTES
-    disk = chunks + max(all_held * _PIECE_BYTES, core * later) + bytes_kept(collection)
+    chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
+    later = core * later + min(core, _SAMPLED) * _SAMPLE_BYTES
+    disk = chunks + max(all_held * _PIECE_BYTES, later) + bytes_kept(collection)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     return Plan(
         point_count=survey.point_count,

@@ -40,7 +40,7 @@ TILE_BYTES = 260
 """A point of the largest tile, core and halo, in the stage that takes most."""
 
 _HELD = 2
-"""Points of core and halo, at most, for each that the core may have: see `tiling.layout`."""
+"""Points of core and halo, at most, for each of the core, unless `tiling.halo` is wide."""
 
 _USUAL_TILE, _LARGEST_TILE, _SMALLEST_TILE = 1_000_000, 2_000_000, 20_000
 _TILES_A_WORKER = 3

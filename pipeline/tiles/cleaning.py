@@ -24,7 +24,6 @@ from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import (
     make_copies,
-    remove_pieces,
     save_set_aside,
     set_aside,
     warn_of_set_aside,
@@ -79,11 +78,12 @@ def clean_tiles(
         observer.warn(note)
     gather_chunks(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
-    if job.configuration.ground.method == "slope":
+    if job.configuration.ground.method == "slope" and not job.is_spent("columns"):
         exhaust(do_stage(job, executor, observer, "columns", tiles))
     ground = sum(
         report.counts[0] for _, report in do_stage(job, executor, observer, "ground", tiles)
     )
+    job.remove_spent("columns")
     warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
     if job.labelling == "height":
         exhaust(do_stage(job, executor, observer, "height", tiles))
@@ -92,6 +92,7 @@ def clean_tiles(
     if job.configuration.removal.weighs_evidence:
         reports = do_stage(job, executor, observer, "evidence", tiles)
         wide, scored = np.sum([report.counts for _, report in reports], axis=0)
+        job.remove_spent("spread")
         warn_of_sparse_map(int(wide), int(scored), observer)
     else:
         levels = [job.work.load("density", tile, "levels")[0] for tile in range(len(tiles))]
@@ -151,13 +152,13 @@ def plan_tiles(
 
 def gather_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
     """Cut a map whose tiles are planned into chunks: sort its points by tile, and gather these."""
-    if job.needs_pieces():
+    if not job.is_spent("cut"):
         exhaust(do_stage(job, executor, observer, "cut", [len(part) for part in job.cut_ranges]))
         if job.decoded is not None and not job.decoded.has_records:
             job.decoded.path.unlink(missing_ok=True)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
-    remove_pieces(job)
+    job.remove_spent("cut")
 
 
 def find_clusters(job: Job, observer: StageObserver) -> None:

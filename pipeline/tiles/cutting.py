@@ -181,9 +181,3 @@ def _runs_of_all(folder: str, _changed: int) -> NDArray[np.int64]:
     pieces = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     runs = np.column_stack([np.concatenate(parts), pieces])
     return runs[np.argsort(runs[:, 0], kind="stable")]
-
-
-def remove_pieces(job: Job) -> None:
-    """Remove the pieces: all points are in chunks."""
-    for number in range(len(job.cut_ranges)):
-        job.work.drop("cut", number)

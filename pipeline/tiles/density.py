@@ -1,7 +1,5 @@
 """The task that scores one tile."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,16 +67,16 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         spread[known[own]] = scores.spread
         finished_elsewhere += scores.finished_elsewhere
     cluster, density = cluster[core], density[core]
-    kept: dict[str, NDArray[Any]] = {}
     if weighs:
         points = ScoredPoints(xyz[core], density, spread[core], np.full(len(density), np.nan))
         voxels.append(summarise_points(points))
-        kept = {"spread": points.spread} | Voxels.merged(voxels).to_arrays(VOXELS)
+        summed = Voxels.merged(voxels).to_arrays(VOXELS)
+        job.work.make("spread")
+        job.work.save("spread", tile, spread=points.spread, **summed)
     order = np.argsort(cluster, kind="stable")
     job.work.save(
         "density",
         tile,
-        **kept,
         order=order.astype(np.uint32),
         grouped=density[order],
         starts=np.searchsorted(cluster[order], np.arange(len(clusters.centroids) + 1)),

@@ -29,7 +29,7 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     after the other. The report counts the points with wide neighbourhoods, and all.
     """
     xyz = own_points(job, tile).xyz
-    (spread,) = job.work.load("density", tile, "spread")
+    (spread,) = job.work.load("spread", tile, "spread")
     _, density = scores_of(job, tile)
     points = ScoredPoints(xyz, density, spread, heights_of(job, tile, xyz))
     model, k = evidence_model(), job.configuration.neighbours.k
@@ -37,7 +37,7 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     everywhere = Region(np.full(2, -np.inf), np.full(2, np.inf))
     for box in divided(everywhere, xyz, sides):
         own = box.holds(xyz)
-        surroundings = Surroundings.of(_around(job, tile, box, "density", VOXELS))
+        surroundings = Surroundings.of(_around(job, tile, box, "spread", VOXELS))
         found.put(own, model.first_round(points.part(own), k, surroundings))
     kept = {name: getattr(found, name) for name in _FIRST}
     odds = summarise_odds(xyz, found.log_odds)

@@ -11,7 +11,7 @@ from dynahull.clustering import Clusters
 from pipeline.configuration.run import Configuration
 from pipeline.units import open_collection
 from pipeline.work.files import read_arrays, read_sealed, write_sealed
-from pipeline.work.folder import WorkFolder
+from pipeline.work.folder import ARRAYS, WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunk_store import ChunkStore
 from tiling.collection import MapCollection
@@ -24,6 +24,9 @@ DECODED_FILE = "map.decoded"
 
 PLANNING, FITTING, CREATING = "plan", "clustering", "outputs"
 """Steps that are about the whole map and are not shared out: tiles, clusters, outputs in parts."""
+
+LAST_READ_BY = {"cut": "chunk", "columns": "ground", "spread": "evidence"}
+"""Folders of what is large and soon needed no more, and the stage that is the last to read it."""
 
 ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -124,10 +127,16 @@ class Job:
         """Points of the map that take part, and are in tiles."""
         return int(self.store.layout.counts.sum())
 
-    def needs_pieces(self) -> bool:
-        """Tell whether any tile's points are to be gathered yet."""
-        tiles = range(len(self.store.layout))
-        return any(self.work.report("chunk", tile) is None for tile in tiles)
+    def is_spent(self, folder: str) -> bool:
+        """Tell whether what tasks keep in a folder is needed no more: see `LAST_READ_BY`."""
+        last, tiles = LAST_READ_BY.get(folder), range(len(self.store.layout))
+        return last is not None and all(self.work.report(last, tile) for tile in tiles)
+
+    def remove_spent(self, folder: str) -> None:
+        """Remove what is needed no more; a run that goes on does not miss it."""
+        if self.is_spent(folder):
+            for path in (self.root / folder).glob(f"[!.]*{ARRAYS}"):
+                path.unlink()
 
     def rows_path(self, name: str) -> Path:
         """Return the file of one value a row: `label`, `cluster`, `density` or `class`."""

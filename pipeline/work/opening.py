@@ -104,13 +104,14 @@ class _Verification:
         self._work = job.work
         self._observer = observer
         self._damaged: set[str] = set()
+        self._spent: dict[str, bool] = {}
 
     def all(self) -> None:
         """Look through all that the rest of the run needs."""
         steps = [self._work.step_path(step) for step in (PLANNING, FITTING, CREATING)]
         self._check([path for path in steps if path.exists()])
-        for stage in ("columns", "ground", "height", "density", "evidence", "label", "write"):
-            self._check(self._markers(stage))
+        for stage in ("write", "label", "evidence", "density", "height", "ground", "columns"):
+            self._check(self._markers(stage), self._matters)
         cut_again = not self._check_chunks()
         decoded = self._job.decoded
         if decoded is None or decoded.has_records or cut_again:
@@ -133,10 +134,18 @@ class _Verification:
                 remove(root / name)
             return False
         self._check(self._markers("chunk"))
-        if not self._job.needs_pieces():
+        if self._job.is_spent("cut"):
             return True
         self._check(self._markers("cut"))
         return all(self._work.report("cut", part) for part in range(len(self._job.cut_ranges)))
+
+    def _matters(self, written: Written) -> bool:
+        """Tell whether a file is needed; asked when the markers of those that read it are known."""
+        folder = written.path.parent.name
+        if folder not in self._spent:
+            planned = self._work.has_done(PLANNING)
+            self._spent[folder] = planned and self._job.is_spent(folder)
+        return not self._spent[folder]
 
     def _markers(self, stage: str) -> list[Path]:
         return list((self._work.root / stage).glob("[!.]*.done"))

@@ -176,6 +176,16 @@ def test_a_halo_narrower_than_the_ground_looks_is_made_up_for(room_file, tmp_pat
         assert_same(table, result)
 
 
+@pytest.mark.parametrize("decision", ["paper", "auto"])
+def test_hundreds_of_tiles_of_a_room_are_the_room(decision, room_file, tmp_path):
+    wanted = ["max_height=1.2", f"removal.decision={decision}", *SMALL_GROUND]
+    _, table, chunks = tiled([room_file], tmp_path / "out", 4, "tiling.halo=0.05", *wanted)
+    assert len(chunks) > 200
+    assert_same(table, in_memory([room_file], *wanted))
+    for spent in ("cut", "columns", "spread"):  # what is needed no more is gone
+        assert not list((tmp_path / "out/.dynahull-work" / spent).glob("*.arrays"))
+
+
 @pytest.mark.parametrize("halo", ["0", "0.3"])
 def test_neighbours_are_found_across_every_border_of_small_tiles(halo, tmp_path):
     random = np.random.default_rng(10)

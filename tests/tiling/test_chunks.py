@@ -129,7 +129,7 @@ def test_chunks_hold_core_and_halo_whatever_the_parts(
     seen = np.zeros(size, int)
     for tile in range(len(store.layout)):
         chunk = read_chunk(store, tile)
-        low, high = store.region(tile)
+        low, high = store.layout.low[tile] - halo, store.layout.high[tile] + halo
         inside = finite & (xyz[:, :2] >= low).all(axis=1) & (xyz[:, :2] < high).all(axis=1)
         np.testing.assert_array_equal(chunk.rows, np.flatnonzero(inside))
         np.testing.assert_array_equal(chunk.xyz, xyz[inside])

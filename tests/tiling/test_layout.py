@@ -104,8 +104,8 @@ def test_tiles_near_a_box():
     np.testing.assert_array_equal(layout.low[layout.near(low, high)], [[16.0, 16.0]])
     assert len(layout.near(np.full(2, -np.inf), np.full(2, np.inf))) == 16
     assert len(layout.near(np.array([31.0, 31]), np.array([33.0, 33]))) == 4
-    assert len(layout.within(low, high, 3.5)) == 1
-    assert len(layout.within(low, high, 4.0)) == 9
+    assert len(layout.near(low - 3.5, high + 3.5)) == 1
+    assert len(layout.near(low - 4.0, high + 4.0)) == 9
 
 
 def test_neighbours_in_order_are_neighbours_in_place():
