@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from tiling.chunk_store import ChunkStore
-from tiling.chunks import assemble, read_chunk
+from tiling.chunks import read_chunk, write_chunk
 from tiling.collection import MapCollection, find_map_files
 from tiling.common_grid import grid_of
 from tiling.layout import quadtree
-from tiling.pieces import write_pieces
+from tiling.pieces import gathered, sort_by_tile
 from tiling.survey import survey
 
 Answer = TypeVar("Answer")
@@ -52,11 +52,23 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = ChunkStore(Path(folder), layout, arguments.halo, count, arguments.format, grid)
         store.save()
-        ranges = list(enumerate(collection.row_ranges(ROWS_IN_A_PIECE)))
+        ranges = collection.row_ranges(ROWS_IN_A_PIECE)
         tiles = range(len(layout))
-        write_pieces(store, collection, range(min(count, 10)), 0)
-        timed("pieces", lambda: [write_pieces(store, collection, r, part) for part, r in ranges])
-        stored = timed("assemble", lambda: sum(len(assemble(store, tile)) for tile in tiles))
+        sort_by_tile(store, collection, range(min(count, 10)))
+        pieces = timed("pieces", lambda: [sort_by_tile(store, collection, r) for r in ranges])
+
+        def assemble(tile: int) -> int:
+            runs = [
+                points[first : first + size]
+                for points, of_piece in pieces
+                for of_tile, first, size in of_piece.tolist()
+                if of_tile == tile
+            ]
+            chunk = gathered(store, tile, runs)
+            write_chunk(store, tile, chunk)
+            return len(chunk)
+
+        stored = timed("assemble", lambda: sum(map(assemble, tiles)))
         timed("read chunks", lambda: sum(len(read_chunk(store, tile)) for tile in tiles))
         size = sum(store.chunk_path(tile).stat().st_size for tile in tiles)
     timed("read map", lambda: sum(1 for _ in collection.batches()))

@@ -279,17 +279,22 @@ def _weighed(
     observer: Observer,
 ) -> Judged:
     """Weigh the evidence for each scored point, in rows; all others are not judged."""
-    del scans  # no term of the model looks at them yet
     observer.stage("evidence", len(rows))
     spread = _scattered(
         np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
     )
     scored = ScoredPoints(
-        points.take(rows, axis=0), density[rows], spread[rows], aside.height[rows]
+        points.take(rows, axis=0),
+        density[rows],
+        spread[rows],
+        aside.height[rows],
+        None if scans is None else scans[rows],
     )
     warn_of_sparse_map(wide_neighbourhoods(scored.spread), len(rows), observer)
-    unscored = points[aside.ground | aside.above]
-    found = judge_points(scored, unscored, parameters.neighbours.k, threads)
+    unscored = aside.ground | aside.above
+    their_scans = None if scans is None else scans[unscored]
+    k = parameters.neighbours.k
+    found = judge_points(scored, points[unscored], k, threads, their_scans)
     judged = Judged.nothing(len(points))
     judged.score[rows], judged.reason[rows] = found.score, found.reason
     observer.advance(len(rows))

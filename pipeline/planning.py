@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.cluster.choice import workers_for
@@ -12,11 +13,11 @@ from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.picture import draw_plan
 from pipeline.plan.plan import check_plan, make_plan
-from pipeline.plan.resources import check_one_tile, is_one_tile
+from pipeline.plan.resources import check_one_tile, is_one_tile, one_tile_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
 from pipeline.showing import check_named_file, drawable, only_showing, printable
-from pipeline.tiles.cleaning import cut_into_pieces, gather_chunks, plan_tiles
+from pipeline.tiles.cleaning import gather_chunks, plan_tiles
 from pipeline.units import open_collection
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from pipeline.work.job import CHUNKS_FOLDER
@@ -63,6 +64,9 @@ def plan_map(
         whole = configuration.tiling.model_copy(update=tiling)
         configuration = configuration.model_copy(update={"tiling": whole})
     plan = make_plan(collection, surveyed, configuration, workers)
+    if one_tile:
+        memory, _ = one_tile_memory(collection, configuration)
+        plan = replace(plan, worker_memory=memory, disk=0)
     drawn = ""
     if picture is not None:
         with only_showing(str(picture), observer.warn):
@@ -101,16 +105,11 @@ def tile_map(
                 )
             poses = open_collection(paths, configuration.input).poses
             digest = content_hash(paths, poses=poses)
-            job = open_job(work, paths, state, digest, configuration, False, observer, "chunk")
+            job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(job) as executor:
                 plan_tiles(
-                    job,
-                    executor,
-                    observer,
-                    lambda plan: check_plan(plan, configuration, output),
-                    "zstd",
+                    job, executor, observer, lambda plan: check_plan(plan, configuration, output)
                 )
-                cut_into_pieces(job, executor, observer, "chunk")
                 gather_chunks(job, executor, observer)
             observer.finish()
             tiles = len(job.store.layout)

@@ -111,7 +111,7 @@ def run(
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
         else:
-            job = open_job(work, paths, state, digest, configuration, fresh, observer, "ground")
+            job = open_job(work, paths, state, digest, configuration, fresh, observer)
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
         report = write_account(
             folder, collection, digest, configuration, cleaned, names, staging, observer
@@ -143,6 +143,7 @@ def write_account(
         cleaned.counts,
         cleaned.clusters,
         cleaned.decision,
+        cleaned.source,
         names,
         observer,
     )

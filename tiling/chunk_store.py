@@ -1,10 +1,7 @@
 """A folder for the map cut into tiles, and what is in it of each tile."""
 
-import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +14,6 @@ from tiling.grid import Grid
 from tiling.layout import Layout
 
 ChunkFormat = Literal["parquet", "las", "laz"]
-ChunkCompression = Literal["zstd", "lz4"]
 
 _STORE_FILE = "store.json"
 
@@ -51,17 +47,6 @@ class Chunk:
         return Chunk(self.xyz.take(chosen, axis=0), self.rows.take(chosen), self.core.take(chosen))
 
 
-def joined(chunks: Sequence[Chunk]) -> Chunk:
-    """Return the points of several chunks, one after the other."""
-    nothing = Chunk(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.bool_))
-    together = (nothing, *chunks)
-    return Chunk(
-        np.concatenate([chunk.xyz for chunk in together]),
-        np.concatenate([chunk.rows for chunk in together]),
-        np.concatenate([chunk.core for chunk in together]),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class ChunkStore:
     """A folder for the chunks of one map, cut in one way.
@@ -79,8 +64,6 @@ class ChunkStore:
         Of the chunks.
     grid : Grid or None
         Of the coordinates; needed for LAS, see `tiling.common_grid.grid_of`.
-    compression : "zstd" or "lz4"
-        Of chunks in Parquet: half the size, or half the time.
     max_points : int
         What a core may hold, unless it is a single column.
     """
@@ -91,7 +74,6 @@ class ChunkStore:
     point_count: int
     format: ChunkFormat = "parquet"
     grid: Grid | None = None
-    compression: ChunkCompression = "zstd"
     max_points: int = 1
 
     def __post_init__(self) -> None:
@@ -99,15 +81,14 @@ class ChunkStore:
             raise ValueError(f"chunks of format {self.format} need a grid")
 
     def make(self) -> None:
-        """Make the folders for pieces and chunks."""
-        for name in ("pieces", "chunks"):
-            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        """Make the folder for chunks."""
+        (self.folder / "chunks").mkdir(parents=True, exist_ok=True)
 
     def save(self) -> None:
-        """Make the folders, and write what `open` reads."""
+        """Make the folder, and write what `open` reads."""
         self.make()
         with atomic_file(self.folder / _STORE_FILE) as temporary:
-            temporary.write_text(self._description, encoding="utf-8")
+            temporary.write_text(self._description(), encoding="utf-8")
 
     @classmethod
     def open(cls, folder: Path) -> "ChunkStore":
@@ -131,11 +112,9 @@ class ChunkStore:
             stored["point_count"],
             stored["format"],
             None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
-            stored["compression"],
             stored["max_points"],
         )
 
-    @cached_property
     def _description(self) -> str:
         return json.dumps(
             {
@@ -143,20 +122,10 @@ class ChunkStore:
                 "point_count": self.point_count,
                 "format": self.format,
                 "grid": None if self.grid is None else [self.grid.scales, self.grid.offsets],
-                "compression": self.compression,
                 "max_points": self.max_points,
                 "layout": self.layout.to_json(),
             }
         )
-
-    @cached_property
-    def key(self) -> bytes:
-        """Sixteen bytes that differ between maps that are cut differently."""
-        return hashlib.sha256(self._description.encode()).digest()[:16]
-
-    def piece_path(self, part: int) -> Path:
-        """Return the file of the points of one range of rows."""
-        return self.folder / "pieces" / f"{part:06d}.piece"
 
     def chunk_path(self, tile: int) -> Path:
         """Return the file of a tile."""
@@ -167,7 +136,3 @@ class ChunkStore:
         place = self.layout[tile]
         low, high = place.low.tolist(), place.high.tolist()
         return json.dumps({"tile": tile, "low": low, "high": high, "halo": self.halo})
-
-    def region(self, tile: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return core and halo of a tile: all points of low <= x, y < high, each (2,), metres."""
-        return self.layout.low[tile] - self.halo, self.layout.high[tile] + self.halo

@@ -1,11 +1,5 @@
-"""The map cut into tiles on disk: for each tile a chunk of its own points and of those around.
+"""The map cut into tiles on disk: for each tile a chunk of its own points and of those around."""
 
-Two steps make the chunks, so that several processes can do each side by side, and one that was
-killed can be repeated: `tiling.pieces.write_pieces` sorts a range of the map's rows by tile into
-one file, and `assemble` gathers the points of one tile from all those files.
-"""
-
-from collections.abc import Iterable
 from datetime import date
 from importlib import import_module
 from pathlib import Path
@@ -14,53 +8,30 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from tiling.atomic import atomic_file
-from tiling.chunk_store import Chunk, ChunkStore, joined
+from tiling.chunk_store import Chunk, ChunkStore
 from tiling.errors import ChunkError, GridError
 from tiling.formats.parquet_file import open_parquet
 from tiling.output_file import create_file
-from tiling.pieces import read_tile
 
 _COLUMNS = ("x", "y", "z")
 _CREATED = date(1970, 1, 1)
 """Of every chunk of LAS: the same points give the same bytes on any day."""
 
 
-def assemble(store: ChunkStore, tile: int) -> Chunk:
-    """Gather the points of a tile from all pieces into its chunk, and return them.
+def write_chunk(store: ChunkStore, tile: int, chunk: Chunk) -> None:
+    """Write the chunk of a tile.
 
-    The chunk's bytes depend on the store alone, not on the ranges of rows that were cut. It
-    appears whole or not at all. The memory needed is that of the tile's points, three times.
-
-    Parameters
-    ----------
-    store : ChunkStore
-        Every row of whose map is in a piece.
-    tile : int
-        Its index in the layout.
-
-    Returns
-    -------
-    Chunk
+    Its bytes depend on the points and the store alone. It appears whole or not at all.
 
     Raises
     ------
-    ChunkError
-        When a piece is missing, cut short, or of another map or layout.
     GridError
         When the chunk is LAS, and a point is not on the store's grid.
     """
-    chunk = read_tile(store, tile)
     with atomic_file(store.chunk_path(tile)) as temporary:
         (_write_parquet if store.format == "parquet" else _write_las)(temporary, chunk, store, tile)
-    return chunk
-
-
-def has_chunk(store: ChunkStore, tile: int) -> bool:
-    """Tell whether a tile's chunk is there."""
-    return store.chunk_path(tile).is_file()
 
 
 def read_chunk(store: ChunkStore, tile: int) -> Chunk:
@@ -73,7 +44,7 @@ def read_chunk(store: ChunkStore, tile: int) -> Chunk:
     """
     path = store.chunk_path(tile)
     expected = f"the chunk of tile {tile}"
-    if not has_chunk(store, tile):
+    if not path.is_file():
         raise ChunkError(path, expected, "no such file")
     try:
         chunk = (_read_parquet if store.format == "parquet" else _read_las)(path)
@@ -86,47 +57,12 @@ def read_chunk(store: ChunkStore, tile: int) -> Chunk:
     return chunk
 
 
-def read_cores(
-    store: ChunkStore,
-    tiles: Iterable[int],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> Chunk:
-    """Read the points of some tiles' cores that lie within a box.
-
-    Parameters
-    ----------
-    store : ChunkStore
-    tiles : iterable of int
-        Indices in the layout, each once.
-    low, high : (2,) float64 arrays
-        The box: low <= x, y <= high, metres; may be infinite.
-
-    Returns
-    -------
-    Chunk
-        In the order of the rows, whatever that of the tiles.
-
-    Raises
-    ------
-    ChunkError
-        When a chunk is damaged, or neither a chunk nor all pieces are there.
-    """
-    parts = []
-    for tile in tiles:
-        chunk = read_chunk(store, tile) if has_chunk(store, tile) else read_tile(store, tile)
-        x, y = chunk.xyz[:, 0], chunk.xyz[:, 1]
-        inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-        parts.append(chunk.select(chunk.core & inside))
-    together = joined(parts)
-    return together.select(np.argsort(together.rows))
-
-
 def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
     """Write a chunk; the tile's bounds and its halo are in the metadata of the schema."""
     columns = {name: chunk.xyz[:, axis] for axis, name in enumerate(_COLUMNS)}
     table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
     table = table.replace_schema_metadata({"tile": store.describe(tile)})
+    split = dict.fromkeys(_COLUMNS, "BYTE_STREAM_SPLIT") | {"row": "DELTA_BINARY_PACKED"}
     # Coordinates hardly repeat, so dictionaries only cost time.
     with create_file(path) as file:
         pq.write_table(
@@ -135,8 +71,9 @@ def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> No
             row_group_size=max(len(chunk), 1),
             use_dictionary=False,
             write_statistics=False,
-            compression=store.compression,
-            compression_level=1 if store.compression == "zstd" else None,
+            # Fast, as chunks are read several times, and small whatever the coordinates.
+            compression="lz4",
+            column_encoding=split,
         )
 
 

@@ -8,7 +8,7 @@ where a half is small enough, it is a tile.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,21 +18,14 @@ from numpy.typing import NDArray
 
 from tiling.compiled import compiled, helper
 from tiling.morton import morton_before, morton_order
-from tiling.occupancy import FARTHEST, Occupancy, count_within
+from tiling.occupancy import FARTHEST, Occupancy
 
 NO_TILE = -1
 """The tile of a point without finite coordinates, and of one that was not in the survey."""
 
-MOST_HELD = 2
-"""Beyond so many times the points a core may have, a tile is cut for what its halo holds."""
-
-_HALOS_WIDE = 2
-"""Widths of the halo; a tile no longer than this is mostly halo, and cutting it helps little."""
-
 Columns = NDArray[np.int64]
 Corners = NDArray[np.float64]
 _Places = NDArray[np.intp]
-_Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,18 +129,6 @@ class Layout:
         _find_tiles(xyz, 1 / self.cell, self.origin, self.begins, self.ends, tiles)
         return tiles
 
-    def within(self, low: Corners, high: Corners, margin: float) -> NDArray[np.intp]:
-        """Return the tiles whose core is within a margin of a box, in the maximum norm.
-
-        Parameters
-        ----------
-        low, high : (2,) float64 arrays
-            The box, metres; may be infinite.
-        margin : float
-            Metres.
-        """
-        return self.near(low - margin, high + margin)
-
     def near(self, low: Corners, high: Corners) -> NDArray[np.intp]:
         """Return the tiles whose core meets a box, (low, high) being (2,) and maybe infinite."""
         meets = (self.low <= high) & (self.high >= low)
@@ -178,7 +159,7 @@ class Layout:
         )
 
 
-def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout:
+def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
     """Cut a map into tiles of at most so many points.
 
     Parameters
@@ -186,10 +167,7 @@ def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout
     occupancy : Occupancy
         Of the whole map.
     max_points : int
-        Points in a core, at most; a single column that holds more stays whole. With its halo a
-        tile holds `MOST_HELD` times as many at most, unless it is hardly wider than the halo.
-    halo : float
-        Metres around each core that its work looks at.
+        Points in a core, at most; a single column that holds more stays whole.
 
     Returns
     -------
@@ -205,27 +183,14 @@ def quadtree(occupancy: Occupancy, max_points: int, halo: float = 0.0) -> Layout
     from_origin, counts = from_origin.take(order, axis=0), occupancy.counts.take(order)
     points_before = np.append(0, np.cumsum(counts))
 
-    def too_large(starts: _Places, ends: _Places, bit: int) -> _Flags:
-        """Tell which nodes, runs of columns, must be cut."""
-        large = points_before[ends] - points_before[starts] > max_points
-        if 2 ** ((bit + 1) // 2) * occupancy.cell > _HALOS_WIDE * halo:
-            small = np.flatnonzero(~large)
-            low, high = (
-                np.asarray((origin + edge) * occupancy.cell, np.float64)
-                for edge in _boxes(from_origin, starts[small], ends[small])
-            )
-            held = count_within(occupancy, low - halo, high + halo)
-            large[small] = held > MOST_HELD * max_points
-        return np.asarray(large & (bit > 0))
-
-    starts = _leaf_starts(from_origin, too_large)
+    starts = _leaf_starts(from_origin, points_before, max_points)
     ends = np.append(starts[1:], len(from_origin))
     low, high = _boxes(from_origin, starts, ends)
     totals = points_before[ends] - points_before[starts]
     return Layout(occupancy.cell, origin, origin + low, origin + high, totals)
 
 
-def _leaf_starts(columns: Columns, too_large: Callable[[_Places, _Places, int], _Flags]) -> _Places:
+def _leaf_starts(columns: Columns, points_before: NDArray[np.int64], max_points: int) -> _Places:
     """Return where each leaf begins in columns in Morton order: a node is a run of them.
 
     Those of a node agree in all bits of their place on the curve from a certain one on; to cut it
@@ -234,7 +199,7 @@ def _leaf_starts(columns: Columns, too_large: Callable[[_Places, _Places, int], 
     leaves: list[_Places] = []
     starts, ends = np.array([0]), np.array([len(columns)])
     for bit in range(2 * int(columns.max()).bit_length(), -1, -1):
-        cut = too_large(starts, ends, bit)
+        cut = (points_before[ends] - points_before[starts] > max_points) & (bit > 0)
         leaves.append(starts[~cut])
         starts, ends = starts[cut], ends[cut]
         if not len(starts):

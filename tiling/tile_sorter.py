@@ -3,8 +3,6 @@
 Positions are counted first and filled then, so that no list of points grows.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,27 +34,16 @@ class TileSorter:
         # For each tile, the others whose halo reaches into its core: found when it is met.
         self._others: dict[int, Integers] = {}
 
-    def by_tile(
-        self, xyz: Points, first_row: int, most: int
-    ) -> Iterator[tuple[NDArray[np.float64], Integers]]:
-        """Yield points as pieces hold them, sorted by tile, and how many there are of each tile.
-
-        Where they would be more than `most`, they come in several parts.
-        """
+    def by_tile(self, xyz: Points, first_row: int) -> tuple[NDArray[np.float64], Integers]:
+        """Return points sorted by tile, as pieces hold them, and how many are of each tile."""
         tiles = self._layout.tile_of(xyz)
         fixed = (xyz, tiles, *self._tables(tiles), self._inner, self._reached, first_row)
         counts = np.zeros(len(self._layout), np.int64)
         nowhere = np.empty((0, 4))
         _place(*fixed, counts, nowhere, nowhere.view(np.int64))
-        total = int(counts.sum())
-        if total > most and len(xyz) > 1:
-            middle = len(xyz) // 2
-            yield from self.by_tile(xyz[:middle], first_row, most)
-            yield from self.by_tile(xyz[middle:], first_row + middle, most)
-            return
-        points = np.empty((total, 4))
+        points = np.empty((int(counts.sum()), 4))
         _place(*fixed, np.cumsum(counts) - counts, points, points.view(np.int64))
-        yield points, counts
+        return points, counts
 
     def _tables(self, tiles: NDArray[np.int32]) -> tuple[Integers, Integers]:
         """Return, end to end, the other tiles to look at for points of each tile, and where.
@@ -75,7 +62,7 @@ class TileSorter:
 
     def _find_others(self, tile: int) -> Integers:
         layout = self._layout
-        near = layout.within(layout.low[tile], layout.high[tile], self._halo)
+        near = layout.near(self._reached[0][tile], self._reached[1][tile])
         return np.asarray(near[near != tile], np.int64)
 
 

@@ -5,7 +5,6 @@ the voxels of a map are those of its parts, added up, to the last bit.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled, helper, inlined
+from dynahull.summary import Summary
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -22,29 +22,22 @@ FARTHEST_CELL = 2.0**30
 """Cells beyond it are one: their numbers, and those of cells around them, fit 32 bits."""
 
 
-@dataclass(frozen=True)
-class Voxels:
-    """The occupied voxels of a lattice, and sums over the points in each.
+class Voxels(Summary):
+    """The occupied voxels of a lattice, each once, and sums over the points in each.
 
-    Attributes
-    ----------
-    cells : (V, 3) int32 array
-        Voxel (i, j, k) holds the points with i <= x / side < i + 1, and so on.
-    sums : (V, C) int64 array
-        Integers, so that no order of adding them changes a bit.
-    marks : int
-        How many of the last columns are sets of bits: these are united, not added.
+    What is summed are integers, so that no order of adding them changes a bit.
     """
 
-    cells: Cells
-    sums: Integers
-    marks: int = 0
+    marks: ClassVar[int] = 0
+    """How many of the last columns are sets of bits: these are united, not added."""
 
-    def __len__(self) -> int:
-        return len(self.cells)
+    @property
+    def sums(self) -> Integers:
+        """The sums, (V, C) int64."""
+        return self.values
 
     @classmethod
-    def of(cls, cells: Cells, values: Integers, marks: int = 0) -> Self:
+    def of(cls, cells: Cells, values: Integers) -> Self:
         """Add up values by cell.
 
         Parameters
@@ -52,25 +45,16 @@ class Voxels:
         cells : (n, 3) int32 array
             In any order; a cell may come many times.
         values : (n, C) int64 array
-        marks : int, optional
         """
         numbers, firsts = number_cells(cells)
-        return cls(cells[firsts], added(values, numbers, len(firsts), marks), marks)
+        return cls(cells[firsts], added(values, numbers, len(firsts), cls.marks))
 
     @classmethod
     def merged(cls, parts: Sequence[Self]) -> Self:
         """Add up the voxels of parts of a map."""
-        return cls.of(
-            np.concatenate([part.cells for part in parts]),
-            np.concatenate([part.sums for part in parts]),
-            parts[0].marks,
-        )
-
-    def within(self, low: Integers, high: Integers) -> Self:
-        """Return the voxels with low <= (i, j) <= high; both are (2,) arrays."""
-        flat = self.cells[:, :2]
-        inside = ((flat >= low) & (flat <= high)).all(axis=1)
-        return type(self)(self.cells[inside], self.sums[inside], self.marks)
+        kind = type(parts[0])
+        together = kind.joined(parts)
+        return kind.of(together.cells, together.sums)
 
     @cached_property
     def table(self) -> npt.NDArray[np.int32]:
@@ -81,7 +65,7 @@ class Voxels:
         """Return the voxels of twice the side, and in which of them each of these lies."""
         numbers, firsts = number_cells(self.cells >> 1)
         sums = added(self.sums, numbers, len(firsts), self.marks)
-        return type(self)(self.cells[firsts] >> 1, sums, self.marks), numbers
+        return type(self)(self.cells[firsts] >> 1, sums), numbers
 
     def around(self) -> Integers:
         """Return the sums over the 3 x 3 x 3 voxels about each voxel, (V, C)."""

@@ -36,6 +36,12 @@ THINNEST = 1e-4
 _DENSEST = 2.0**30
 
 
+class TimedVoxels(Voxels):
+    """Sums over points whose scans are known: the marks of these follow."""
+
+    marks = len(SPANS)
+
+
 @dataclass(frozen=True, slots=True)
 class ScoredPoints:
     """Ground-free points, and what their neighbours say.
@@ -101,13 +107,13 @@ def summarise_ground(xyz: Floats, scan: Scans | None = None) -> Voxels:
     sums = np.zeros((len(counted), COLUMNS + counted.marks), np.int64)
     sums[:, GROUND] = counted.sums[:, 0]
     sums[:, COLUMNS:] = counted.sums[:, 1:]
-    return Voxels(counted.cells, sums, counted.marks)
+    return type(counted)(counted.cells, sums)
 
 
 def _marked(cells: Cells, values: Integers, scan: Scans | None) -> Voxels:
     if scan is None:
         return Voxels.of(cells, values)
-    return Voxels.of(cells, np.column_stack([values, marks_of(scan)]), len(SPANS))
+    return TimedVoxels.of(cells, np.column_stack([values, marks_of(scan)]))
 
 
 LIKELY, ODDS = 1, 2

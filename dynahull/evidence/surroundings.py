@@ -81,7 +81,7 @@ class Surroundings:
         """Read the sums over the finest voxels: see `summaries`."""
         occupied = (voxels.sums[:, SCORED] > 0).astype(np.int64)
         columns = np.insert(voxels.sums, _OCCUPIED, occupied, axis=1)
-        here = Voxels(voxels.cells, columns, voxels.marks)
+        here = type(voxels)(voxels.cells, columns)
         del voxels  # the sums are most of what a map takes here
         sums = here.around()
         levels = []

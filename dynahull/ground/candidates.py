@@ -17,9 +17,10 @@ from dynahull.ground.lattice import (
 from dynahull.ground.levels import Levels
 from dynahull.ground.parameters import SlopeParameters
 from dynahull.ground.reach import FLAT_RADIUS
+from dynahull.summary import Summary
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["are_flat", "are_floors"]
+__all__ = ["are_flat", "are_floors", "outlines"]
 
 _SMALLEST_RANGE = 500
 """Levels."""
@@ -132,9 +133,49 @@ def _breadth(n: float, su: float, sv: float, suu: float, suv: float, svv: float)
     return (a + c) / 2 - np.sqrt(((a - c) / 2) ** 2 + b * b)
 
 
+def outlines(columns: Columns, clearance: float, threads: int = 1) -> Summary:
+    """Return heights of each column, ascending, (n, 1), that answer what `are_floors` asks.
+
+    It asks for the lowest and the highest point, and whether there is one in a range of heights. A
+    point lies in no range that neither the next one beneath it that is kept lies in, nor the next
+    above, if these two are nearer to each other than the range is long; half of that is asked here,
+    as ranges are rounded.
+    """
+    gap = min(2 * _MARGIN, clearance / 2) / 2
+    kept = np.zeros(len(columns.heights), np.bool_)
+    over_ranges(
+        lambda first, end: _mark_outline(columns.heights, columns.starts, gap, first, end, kept),
+        columns.bounds(threads),
+        threads,
+    )
+    numbers = np.searchsorted(columns.starts, np.flatnonzero(kept), side="right") - 1
+    return Summary(columns.cells[numbers], columns.heights[kept][:, None])
+
+
+@compiled
+def _mark_outline(
+    heights: Floats,
+    starts: Integers,
+    gap: float,
+    first_column: int,
+    end_column: int,
+    kept: Booleans,
+) -> None:
+    for column in range(first_column, end_column):
+        place, last = starts[column], starts[column + 1] - 1
+        kept[place] = True
+        while place < last:
+            following = place + 1
+            while following < last and heights[following + 1] - heights[place] <= gap:
+                following += 1
+            kept[following] = True
+            place = following
+
+
 def are_floors(
     levels: Levels,
-    columns: Columns,
+    heights: Floats,
+    starts: Integers,
     lattice: Lattice,
     p: SlopeParameters,
     clearance: float,
@@ -153,8 +194,10 @@ def are_floors(
     ----------
     levels : Levels
         Those to judge.
-    columns : Columns
-        All points.
+    heights : (n,) float64 array
+        Of the columns, as `outlines` returns them, metres.
+    starts : (slots + 1,) int64 array
+        Where those of each slot begin.
     lattice : Lattice
         Where the columns are.
     p : SlopeParameters
@@ -171,8 +214,8 @@ def are_floors(
         lambda first, end: _are_floors(
             levels.heights,
             levels.slots,
-            columns.heights,
-            columns.starts,
+            heights,
+            starts,
             lattice.neighbours,
             offsets,
             reaches,

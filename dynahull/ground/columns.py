@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynahull.compilation import compiled, helper
-from dynahull.ground.lattice import Floats, Integers, Lattice, starts_of
+from dynahull.ground.lattice import Booleans, Floats, Integers, number_columns, starts_of
 from dynahull.threads import group_bounds, over_ranges
 
 __all__ = ["Columns", "first_above", "first_from", "sort_columns"]
@@ -18,36 +18,52 @@ _RUN = 16
 
 
 class Columns(NamedTuple):
-    """Points ordered by slot, and by height within a slot."""
+    """Points ordered by column, and by height within a column."""
 
     heights: Floats
     """Metres, (N,)."""
     rows: Integers
     """Which point it is, (N,)."""
     starts: Integers
-    """Where the column of each slot begins, (slots + 1,)."""
+    """Where each column begins, (M + 1,); none is empty."""
+    cells: Integers
+    """Which cell each is, (M, 2)."""
 
     def bounds(self, threads: int) -> list[int]:
-        """Cut the slots into ranges with equally many points; see `over_ranges`."""
+        """Cut the columns into ranges with equally many points; see `over_ranges`."""
         return group_bounds(self.starts, threads, _SMALLEST_RANGE)
 
+    def begun_in(self, core: Booleans) -> "Columns":
+        """Return the columns whose first point by row, (N,), is in the core of a tile.
 
-def sort_columns(points: Floats, lattice: Lattice, threads: int = 1) -> Columns:
+        So of the tiles that know a column as a whole, just one speaks of it.
+        """
+        if not len(self.cells):
+            return self
+        own = core[np.minimum.reduceat(self.rows, self.starts[:-1])]
+        counts = np.diff(self.starts)
+        points = np.repeat(own, counts)
+        starts = np.append(0, np.cumsum(counts[own]))
+        return Columns(self.heights[points], self.rows[points], starts, self.cells[own])
+
+
+def sort_columns(points: Floats, cell: float, threads: int = 1) -> Columns:
     """Sort points by their cell and their height.
 
     Parameters
     ----------
     points : (N, 3) float64 array
         Metres.
-    lattice : Lattice
-        Their cells.
+    cell : float
+        Side of a cell, metres.
     threads : int
         They change nothing about the result.
     """
-    starts = starts_of(lattice.slots, lattice.slot_count)
-    columns = Columns(np.empty(len(points)), np.empty(len(points), np.int64), starts)
+    numbers, cells = number_columns(points, cell, threads)
+    starts = starts_of(numbers, len(cells))
+    columns = Columns(np.empty(len(points)), np.empty(len(points), np.int64), starts, cells)
     over_ranges(
-        lambda first, end: _sort_columns(points, lattice.slots, *columns, first, end),
+        lambda first, end: _sort_columns(points, numbers, *columns[:3], first, end),
         columns.bounds(threads),
         threads,
     )
@@ -57,28 +73,29 @@ def sort_columns(points: Floats, lattice: Lattice, threads: int = 1) -> Columns:
 @compiled
 def _sort_columns(
     points: Floats,
-    slots: Integers,
+    numbers: Integers,
     heights: Floats,
     rows: Integers,
     starts: Integers,
-    first_slot: int,
-    end_slot: int,
+    first_column: int,
+    end_column: int,
 ) -> None:
-    """Fill a range of slots: every thread reads all slots and writes its own columns."""
-    place = starts[first_slot:end_slot].copy()
-    for point in range(len(slots)):
-        slot = slots[point]
-        if first_slot <= slot < end_slot:
-            heights[place[slot - first_slot]] = points[point, 2]
-            rows[place[slot - first_slot]] = point
-            place[slot - first_slot] += 1
+    """Fill a range of columns: every thread reads all numbers and writes its own columns."""
+    place = starts[first_column:end_column].copy()
+    for point in range(len(numbers)):
+        column = numbers[point]
+        if first_column <= column < end_column:
+            heights[place[column - first_column]] = points[point, 2]
+            rows[place[column - first_column]] = point
+            place[column - first_column] += 1
     longest = 0
-    for slot in range(first_slot, end_slot):
-        longest = max(longest, starts[slot + 1] - starts[slot])
+    for column in range(first_column, end_column):
+        longest = max(longest, starts[column + 1] - starts[column])
     spare_heights = np.empty(longest, np.float64)
     spare_rows = np.empty(longest, np.int64)
-    for slot in range(first_slot, end_slot):
-        _sort_column(heights, rows, starts[slot], starts[slot + 1], spare_heights, spare_rows)
+    for column in range(first_column, end_column):
+        first, end = starts[column], starts[column + 1]
+        _sort_column(heights, rows, first, end, spare_heights, spare_rows)
 
 
 # NumPy's sorts are slow to compile, and one that moves the rows along needs another array of them.

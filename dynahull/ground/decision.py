@@ -11,13 +11,11 @@ from dynahull.compilation import compiled, helper
 from dynahull.ground.columns import Columns, first_above, first_from
 from dynahull.ground.lattice import FARTHEST_CELL, Booleans, Floats, Integers
 from dynahull.ground.parameters import SlopeParameters
+from dynahull.ground.reach import FOOT_PARTS
 from dynahull.ground.surface import NOISE, SLOPE_X, SLOPE_Y, Surface, height_over
 from dynahull.threads import over_ranges
 
 __all__ = ["decide"]
-
-_PARTS = 4
-"""Feet are looked for in so many times smaller cells: about as wide as a wall is thick."""
 
 _FOOT_HEIGHT = 0.3
 """Metres; what stands on the ground is looked for so high above it."""
@@ -35,7 +33,7 @@ def decide(
     columns : Columns
         The same points by cell.
     surface : Surface
-        Of the ground, over the same cells.
+        Of the ground, over the columns' cells.
     p : SlopeParameters
         The tolerances, `steepest`, `cell` and `foot` are used.
     threads : int
@@ -58,7 +56,7 @@ def decide(
     over_ranges(
         lambda first, end: _decide(
             points,
-            *columns,
+            *columns[:3],
             *surface,
             tolerances,
             p.steepest,
@@ -86,23 +84,23 @@ def _decide(
     steepest: float,
     cell: float,
     foot: float,
-    first_slot: int,
-    end_slot: int,
+    first_column: int,
+    end_column: int,
     ground: Booleans,
 ) -> None:
     longest, most = 0, 0
-    for slot in range(first_slot, end_slot):
-        longest = max(longest, starts[slot + 1] - starts[slot])
-        most = max(most, plane_starts[slot + 1] - plane_starts[slot])
+    for column in range(first_column, end_column):
+        longest = max(longest, starts[column + 1] - starts[column])
+        most = max(most, plane_starts[column + 1] - plane_starts[column])
     widths = np.empty(most, np.float64)
     bottoms, tops = np.empty(longest, np.float64), np.empty(longest, np.float64)
     parts = np.empty(longest, np.int64)
     part_heights = np.empty(longest, np.float64)
-    part_starts = np.empty(_PARTS * _PARTS + 1, np.int64)
-    for slot in range(first_slot, end_slot):
-        first, end = starts[slot], starts[slot + 1]
-        lowest, highest = plane_starts[slot], plane_starts[slot + 1]
-        if first == end or lowest == highest:
+    part_starts = np.empty(FOOT_PARTS * FOOT_PARTS + 1, np.int64)
+    for column in range(first_column, end_column):
+        first, end = starts[column], starts[column + 1]
+        lowest, highest = plane_starts[column], plane_starts[column + 1]
+        if lowest == highest:
             continue
         for k in range(lowest, highest):
             widths[k - lowest] = _width_about(planes[k], tolerances, steepest)
@@ -114,7 +112,7 @@ def _decide(
             ground[row] = top >= bottom
             near += ground[row]
             i, j = _part_of(points[row, 0] / cell), _part_of(points[row, 1] / cell)
-            parts[place - first] = i * _PARTS + j
+            parts[place - first] = i * FOOT_PARTS + j
         if near == 0 or foot == np.inf:
             continue
         _sort_parts(heights, first, end, parts, part_heights, part_starts)
@@ -157,8 +155,8 @@ def _layer_about(
 @helper
 def _part_of(coordinate: float) -> int:
     """Return the part of its cell along one axis, of a coordinate in cells."""
-    part = int(np.floor(_PARTS * min(max(coordinate, -FARTHEST_CELL), FARTHEST_CELL)))
-    return part & (_PARTS - 1)
+    part = int(np.floor(FOOT_PARTS * min(max(coordinate, -FARTHEST_CELL), FARTHEST_CELL)))
+    return part & (FOOT_PARTS - 1)
 
 
 @helper

@@ -21,6 +21,8 @@ __all__ = [
     "build_lattice",
     "disk_offsets",
     "distances_of",
+    "lattice_of_cells",
+    "number_columns",
     "slot_at",
     "starts_of",
 ]
@@ -102,6 +104,23 @@ def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -
     blocks[:, 1] = ((keys + _HALF_KEY) & _LOWER_KEY) - _HALF_KEY
     blocks[:, 0] = (keys - blocks[:, 1]) >> _KEY_BITS
     return Lattice(cell, slots, blocks, _neighbours(keys, int(np.ceil(reach / cell)) // BLOCK + 1))
+
+
+def lattice_of_cells(cells: Integers, cell: float, reach: float) -> Lattice:
+    """Return the lattice of some cells, (n, 2), which may come several times, and their slots."""
+    lattice = build_lattice(cells.astype(np.float64), 1.0, reach / cell)
+    return lattice._replace(cell=cell)
+
+
+def number_columns(points: Floats, cell: float, threads: int = 1) -> tuple[Integers, Integers]:
+    """Return the number of each point's cell among those occupied, (N,), and these, (M, 2)."""
+    lattice = build_lattice(points, cell, 0.0, threads)
+    occupied = np.zeros(lattice.slot_count, np.bool_)
+    occupied[lattice.slots] = True
+    slots = np.flatnonzero(occupied)
+    within = np.column_stack([(slots >> BLOCK_BITS) & (BLOCK - 1), slots & (BLOCK - 1)])
+    cells = (lattice.blocks[slots >> _SLOT_BITS] << BLOCK_BITS) + within
+    return (np.cumsum(occupied) - 1)[lattice.slots], cells
 
 
 def _neighbours(keys: Integers, span: int) -> Integers:

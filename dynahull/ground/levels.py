@@ -6,10 +6,11 @@ import numpy as np
 
 from dynahull.compilation import compiled, helper
 from dynahull.ground.columns import Columns
-from dynahull.ground.lattice import Booleans, Floats, Integers
+from dynahull.ground.lattice import Booleans, Floats, Integers, Lattice
+from dynahull.summary import Summary
 from dynahull.threads import over_ranges
 
-__all__ = ["Levels", "find_levels"]
+__all__ = ["Levels", "find_levels", "levels_of"]
 
 _FEWEST_FOR_SPREAD = 3
 
@@ -31,10 +32,20 @@ class Levels(NamedTuple):
         return Levels(self.heights[mask], self.spreads[mask], self.slots[mask], self.bare[mask])
 
 
+def levels_of(summary: Summary, lattice: Lattice) -> Levels:
+    """Return the levels that were found in the columns of a lattice, whose cells are theirs."""
+    order = np.argsort(lattice.slots, kind="stable")
+    heights, spreads, bare = summary.values[order].T.copy()
+    return Levels(heights, spreads, lattice.slots[order], bare > 0)
+
+
 def find_levels(
     columns: Columns, thickness: float, clearance: float, clutter: float, threads: int = 1
-) -> Levels:
+) -> Summary:
     """Find the levels of every column.
+
+    Of each, mean and spread of its heights, and whether it is the lowest of its column and has free
+    height above it: see `Levels`.
 
     A level is a layer of at most `thickness` metres above whose top the next `clearance` metres
     hold no more than `clutter` times its own points; of layers that overlap the fullest stands,
@@ -59,7 +70,8 @@ def find_levels(
         columns.bounds(threads),
         threads,
     )
-    return Levels(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    heights, spreads, numbers, bare = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Summary(columns.cells[numbers], np.column_stack([heights, spreads, bare]))
 
 
 @compiled
@@ -69,19 +81,17 @@ def _find_levels(
     thickness: float,
     clearance: float,
     clutter: float,
-    first_slot: int,
-    end_slot: int,
+    first_column: int,
+    end_column: int,
 ) -> tuple[Floats, Floats, Integers, Booleans]:
-    most = starts[end_slot] - starts[first_slot]
+    most = starts[end_column] - starts[first_column]
     heights = np.empty(most, np.float64)
     spreads = np.empty(most, np.float64)
-    slots = np.empty(most, np.int64)
+    numbers = np.empty(most, np.int64)
     bare = np.empty(most, np.bool_)
     found = 0
-    for slot in range(first_slot, end_slot):
-        first, end = starts[slot], starts[slot + 1]
-        if first == end:
-            continue
+    for column in range(first_column, end_column):
+        first, end = starts[column], starts[column + 1]
         top = first
         while top < end and columns[top] <= columns[first] + thickness:
             top += 1
@@ -97,16 +107,16 @@ def _find_levels(
                 continue
             if columns[bottom] > columns[kept_top - 1]:
                 heights[found], spreads[found] = _mean_and_spread(columns, kept_first, kept_top)
-                slots[found], bare[found] = slot, kept_bare
+                numbers[found], bare[found] = column, kept_bare
                 found += 1
                 kept_first, kept_top, kept_bare = bottom, top, False
             elif top - bottom > kept_top - kept_first:
                 kept_first, kept_top = bottom, top
             kept_bare = kept_bare or bottom == first
         heights[found], spreads[found] = _mean_and_spread(columns, kept_first, kept_top)
-        slots[found], bare[found] = slot, kept_bare
+        numbers[found], bare[found] = column, kept_bare
         found += 1
-    return heights[:found], spreads[:found], slots[:found], bare[:found]
+    return heights[:found], spreads[:found], numbers[:found], bare[:found]
 
 
 @helper

@@ -5,9 +5,18 @@ import numpy.typing as npt
 
 from dynahull.errors import MissingClassificationError
 from dynahull.ground.cloth import cloth_ground
+from dynahull.ground.columns import sort_columns
 from dynahull.ground.lattice import Booleans, Floats
 from dynahull.ground.parameters import GroundParameters
-from dynahull.ground.slope import compile_once, height_above, slope_ground
+from dynahull.ground.slope import (
+    GroundSummary,
+    compile_once,
+    floors_of,
+    height_above,
+    slope_ground,
+    summarise,
+)
+from dynahull.summary import Summary
 
 _GROUND_CLASS = 2
 
@@ -18,6 +27,7 @@ def ground_mask(
     classification: npt.NDArray[np.uint8] | None = None,
     *,
     threads: int = 1,
+    around: GroundSummary | None = None,
 ) -> Booleans:
     """Tell which points are ground.
 
@@ -31,6 +41,8 @@ def ground_mask(
         ASPRS classes, for `method: las_class`.
     threads : int
         Threads of `method: slope`. The result does not depend on it.
+    around : GroundSummary, optional
+        For `method: slope` of a part of a map: what `ground_summary` says of the columns around.
 
     Raises
     ------
@@ -52,7 +64,31 @@ def ground_mask(
             return cloth_ground(points, parameters.csf)
         case "slope":
             compile_once()
-            return slope_ground(points, parameters.slope, threads)
+            return slope_ground(points, parameters.slope, threads, around)
+
+
+def ground_summary(points: Floats, core: Booleans, parameters: GroundParameters) -> GroundSummary:
+    """Return what a part of a map tells those around it, so that they find their ground.
+
+    Parameters
+    ----------
+    points : (N, 3) float64 array
+        In the order of their rows.
+    core : (N,) bool array
+        Points that are in no other part. With one of them, its whole column is there.
+    parameters : GroundParameters
+        Of `method: slope`.
+    """
+    compile_once()
+    columns = sort_columns(points, parameters.slope.expert.cell)
+    return summarise(columns.begun_in(core), parameters.slope)
+
+
+def height_summary(points: Floats, core: Booleans, parameters: GroundParameters) -> Summary:
+    """Return what the ground points of a part tell those around it: see `ground_summary`."""
+    compile_once()
+    columns = sort_columns(points, parameters.slope.expert.cell)
+    return floors_of(columns.begun_in(core), parameters.slope)
 
 
 def height_above_ground(
@@ -78,4 +114,12 @@ def height_above_ground(
         height above the nearest floor beneath the point.
     """
     compile_once()
-    return height_above(points, ground, parameters.slope, threads)
+    floors = floors_of(sort_columns(points[ground], parameters.slope.expert.cell, threads),
+                       parameters.slope, threads)  # fmt: skip
+    return height_above(points, floors, parameters.slope, threads)
+
+
+def height_above_floors(points: Floats, floors: Summary, parameters: GroundParameters) -> Floats:
+    """Return the same where the ground is known by what `height_summary` says of it."""
+    compile_once()
+    return height_above(points, floors, parameters.slope)

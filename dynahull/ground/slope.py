@@ -8,22 +8,38 @@ the levels that are left. A point near such a plane is ground, unless it is the 
 
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dynahull.compilation import compiled, compiling
-from dynahull.ground.candidates import are_flat, are_floors
-from dynahull.ground.columns import sort_columns
+from dynahull.ground.candidates import are_flat, are_floors, outlines
+from dynahull.ground.columns import Columns, sort_columns
 from dynahull.ground.decision import decide
-from dynahull.ground.lattice import Booleans, Floats, Integers, build_lattice
-from dynahull.ground.levels import find_levels
+from dynahull.ground.lattice import (
+    Booleans,
+    Floats,
+    Integers,
+    lattice_of_cells,
+    number_columns,
+    starts_of,
+)
+from dynahull.ground.levels import find_levels, levels_of
 from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import SlopeParameters
 from dynahull.ground.reach import FLAT_RADIUS
-from dynahull.ground.surface import fit_surface, height_over
+from dynahull.ground.surface import Surface, fit_surface, height_over
+from dynahull.summary import Summary
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["compile_once", "height_above", "slope_ground"]
+__all__ = [
+    "GroundSummary",
+    "compile_once",
+    "floors_of",
+    "height_above",
+    "slope_ground",
+    "summarise",
+]
 
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
@@ -32,15 +48,27 @@ _SMALLEST_RANGE = 20_000
 """Points."""
 
 
+class GroundSummary(NamedTuple):
+    """What columns say of the ground around them."""
+
+    levels: Summary
+    """See `find_levels`."""
+    outlines: Summary
+    """See `candidates.outlines`; empty where there are no storeys."""
+
+
 @lru_cache(maxsize=1)
 def compile_once() -> None:
     """Compile the ground step, unless its code is kept already."""
     with compiling("the ground step", Path(__file__).parent):
-        corner = np.random.default_rng(0).uniform(0, 3, (64, 3))
-        height_above(corner, slope_ground(corner, SlopeParameters()), SlopeParameters())
+        corner, p = np.random.default_rng(0).uniform(0, 3, (64, 3)), SlopeParameters()
+        ground = corner[slope_ground(corner, p)]
+        height_above(corner, floors_of(sort_columns(ground, p.expert.cell), p), p)
 
 
-def slope_ground(points: Floats, p: SlopeParameters, threads: int = 1) -> Booleans:
+def slope_ground(
+    points: Floats, p: SlopeParameters, threads: int = 1, around: GroundSummary | None = None
+) -> Booleans:
     """Tell which points are ground.
 
     Parameters
@@ -51,54 +79,79 @@ def slope_ground(points: Floats, p: SlopeParameters, threads: int = 1) -> Boolea
         See there.
     threads : int
         They change nothing about the result.
+    around : GroundSummary, optional
+        Of all columns within `ground_radius` of the points; by default these are all.
 
     Returns
     -------
     (N,) bool array
-        The same for any order of the points, and for any part of a map that holds all within
-        `ground_radius` of a point, that point's.
+        The same for any order of the points, and for any part of a map that holds, with a point,
+        all those of its column within a quarter of a cell.
     """
+    columns = sort_columns(points, p.expert.cell, threads)
+    around = summarise(columns, p, threads) if around is None else around
+    return decide(points, columns, _surface(around, columns.cells, p, threads), p, threads)
+
+
+def summarise(columns: Columns, p: SlopeParameters, threads: int = 1) -> GroundSummary:
+    """Return what some columns say of the ground around them."""
+    clearance = np.inf if p.clearance is None else p.clearance
+    levels = find_levels(columns, p.expert.level, clearance, p.expert.clutter, threads)
+    if p.clearance is None:
+        return GroundSummary(levels, Summary(columns.cells[:0], np.empty((0, 1))))
+    return GroundSummary(levels, outlines(columns, clearance, threads))
+
+
+def _surface(around: GroundSummary, cells: Integers, p: SlopeParameters, threads: int) -> Surface:
+    """Return the surface of the ground over some cells."""
     clearance = np.inf if p.clearance is None else p.clearance
     storey = _STOREY_TO_CLEARANCE * clearance
     reach = max(p.window, p.expert.storey_radius, p.expert.extension, FLAT_RADIUS * p.expert.cell)
-    lattice = build_lattice(points, p.expert.cell, reach, threads)
-    columns = sort_columns(points, lattice, threads)
-
-    levels = find_levels(columns, p.expert.level, clearance, p.expert.clutter, threads)
+    known = (around.levels.cells, around.outlines.cells, cells)
+    lattice = lattice_of_cells(np.concatenate(known), p.expert.cell, reach)
+    of_levels, of_outlines, wanted = np.split(
+        lattice.slots, np.cumsum([len(each) for each in known[:-1]])
+    )
+    levels = levels_of(around.levels, lattice._replace(slots=of_levels))
     levels = levels.keep(are_flat(levels, lattice, p, threads))
     if p.clearance is not None:
-        levels = levels.keep(are_floors(levels, columns, lattice, p, p.clearance, threads))
+        heights = around.outlines.values[np.argsort(of_outlines, kind="stable"), 0]
+        starts = starts_of(of_outlines, lattice.slot_count)
+        levels = levels.keep(are_floors(levels, heights, starts, lattice, p, clearance, threads))
     levels = levels.keep(~stand_out(levels, lattice, p, storey, threads))
-
-    occupied = np.diff(columns.starts) > 0
-    surface = fit_surface(
-        levels, lattice, occupied, p.expert.extension, storey / 2, p.expert.level, threads
+    return fit_surface(
+        levels, lattice, wanted, p.expert.extension, storey / 2, p.expert.level, threads
     )
-    return decide(points, columns, surface, p, threads)
 
 
-def height_above(points: Floats, ground: Booleans, p: SlopeParameters, threads: int = 1) -> Floats:
+def floors_of(columns: Columns, p: SlopeParameters, threads: int = 1) -> Summary:
+    """Return what columns of ground points say of heights around them."""
+    clearance = np.inf if p.clearance is None else p.clearance
+    return find_levels(columns, 2 * p.expert.tolerance_limit, clearance / 2, 1.0, threads)
+
+
+def height_above(points: Floats, floors: Summary, p: SlopeParameters, threads: int = 1) -> Floats:
     """Return the height above the nearest floor beneath each point, metres, (N,).
 
     The floor is the plane through the ground points of the cells within `extension`, of the
     highest storey not above the point. Under the lowest floor the height is negative; NaN
-    where there is no ground near.
+    where there is no ground near. `floors` are those within `height_radius` of the points.
     """
     clearance = np.inf if p.clearance is None else p.clearance
-    lattice = build_lattice(points, p.expert.cell, p.expert.extension, threads)
-    columns = sort_columns(points[ground], lattice._replace(slots=lattice.slots[ground]), threads)
+    numbers, cells = number_columns(points, p.expert.cell, threads)
+    known = np.concatenate([floors.cells, cells])
+    lattice = lattice_of_cells(known, p.expert.cell, p.expert.extension)
+    of_floors, wanted = np.split(lattice.slots, [len(floors)])
+    levels = levels_of(floors, lattice._replace(slots=of_floors))
     thickness = 2 * p.expert.tolerance_limit
-    levels = find_levels(columns, thickness, clearance / 2, 1.0, threads)
-    occupied = np.zeros(lattice.slot_count, np.bool_)
-    occupied[lattice.slots] = True
     surface = fit_surface(
-        levels, lattice, occupied, p.expert.extension, clearance / 2, thickness, threads
+        levels, lattice, wanted, p.expert.extension, clearance / 2, thickness, threads
     )
     heights = np.full(len(points), np.nan)
     over_ranges(
         lambda first, end: _height_above(
             points,
-            lattice.slots,
+            numbers,
             *surface,
             p.expert.cell,
             p.expert.tolerance_limit,
@@ -115,7 +168,7 @@ def height_above(points: Floats, ground: Booleans, p: SlopeParameters, threads: 
 @compiled
 def _height_above(
     points: Floats,
-    slots: Integers,
+    numbers: Integers,
     planes: Floats,
     starts: Integers,
     cell: float,
@@ -125,7 +178,7 @@ def _height_above(
     heights: Floats,
 ) -> None:
     for point in range(first_point, end_point):
-        for k in range(starts[slots[point]], starts[slots[point] + 1]):
+        for k in range(starts[numbers[point]], starts[numbers[point] + 1]):
             height = height_over(points[point], planes[k], cell)
             if np.isnan(heights[point]) or height >= -tolerance:
                 heights[point] = height

@@ -47,19 +47,19 @@ class Surface(NamedTuple):
     planes: Floats
     """Height at the cell's centre, metres; slope along x and y; noise, metres; (P, 4)."""
     starts: Integers
-    """Where the planes of each slot begin, (slots + 1,)."""
+    """Where the planes of each cell begin, (cells + 1,)."""
 
 
 def fit_surface(
     levels: Levels,
     lattice: Lattice,
-    occupied: Booleans,
+    wanted: Integers,
     extension: float,
     storey: float,
     thickness: float,
     threads: int = 1,
 ) -> Surface:
-    """Fit planes to the ground levels near each occupied cell.
+    """Fit planes to the ground levels near some cells.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def fit_surface(
         Those of the ground.
     lattice : Lattice
         Where their columns are.
-    occupied : (slots,) bool array
+    wanted : (cells,) int64 array
         Slots to fit planes for.
     extension : float
         How far from a cell levels count, metres.
@@ -85,7 +85,8 @@ def fit_surface(
         range_bounds(len(levels.slots), threads, _SMALLEST_RANGE),
         threads,
     )
-    wanted = np.flatnonzero(near & occupied)
+    places = np.flatnonzero(near[wanted])
+    slots = wanted[places]
     level_starts = starts_of(levels.slots, lattice.slot_count)
     fitted = over_ranges(
         lambda first, end: _fit_planes(
@@ -93,17 +94,17 @@ def fit_surface(
             levels.spreads,
             level_starts,
             lattice.neighbours,
-            wanted[first:end],
+            slots[first:end],
             offsets,
             lattice.cell,
             storey,
             thickness / np.sqrt(12.0),
         ),
-        range_bounds(len(wanted), threads, _SMALLEST_RANGE),
+        range_bounds(len(slots), threads, _SMALLEST_RANGE),
         threads,
     )
-    starts = np.zeros(lattice.slot_count + 1, np.int64)
-    starts[wanted + 1] = np.concatenate([counts for _, counts in fitted])
+    starts = np.zeros(len(wanted) + 1, np.int64)
+    starts[places + 1] = np.concatenate([counts for _, counts in fitted])
     planes = np.concatenate([planes for planes, _ in fitted])
     return Surface(planes, np.cumsum(starts, out=starts))
 

@@ -78,8 +78,8 @@ class TilingParameters(BaseModel):
     )
     halo: Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"] = Field(
         "auto",
-        description="Width of the overlap around a tile, metres; `auto`: what ground and "
-        "neighbours need. A narrower one is made up for by reading other tiles.",
+        description="Width of the overlap around a tile, metres; `auto`: what most neighbours "
+        "need, if few points lie there. The rest is read from other tiles.",
     )
     format: Literal["parquet", "las", "laz"] = Field(
         "parquet",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.ground.reach import decision_radius, ground_radius
+from dynahull.ground.reach import points_around
 from pipeline.configuration.quantities import in_time, in_units
 from pipeline.configuration.run import Configuration
 from pipeline.errors import PlanError
@@ -26,28 +26,41 @@ from tiling.layout import Layout, quadtree
 from tiling.occupancy import Occupancy, count_within
 from tiling.survey import Survey
 
-_BYTES_ON_DISK = 100
-"""A point of a tile, core or halo, in pieces, chunks and ground-free points together."""
+_PIECE_BYTES = 32
+"""A point of a tile, core or halo, until all chunks are gathered."""
 
-_SCORES_ON_DISK = 48
-"""A point of the map: densities, labels, and what else is kept of each row."""
+_CHUNK_BYTES = {"parquet": 26, "las": 40, "laz": 40}
+"""The same in chunks, at most."""
 
-_EVIDENCE_ON_DISK = 300
-"""A point of the map where evidence is weighed, at most: spread, terms that are kept, voxels."""
+_LATER_BYTES = 30
+"""A point of the map in what tasks keep once the pieces are gone, at most: columns; then densities
+and labels."""
+
+_SCORE_BYTES = 40
+"""More, where scores are written."""
+
+_EVIDENCE_BYTES = 220
+"""More, where evidence is weighed, at most: spread, terms that are kept, voxels."""
+
+_SAMPLE_BYTES, _SAMPLED = 120, 300_000
+"""A point, of so many, that clusters are fitted on or that the report shows."""
 
 _MICROSECONDS_A_POINT = 8.0
 """Of the core; on one worker of a machine of 2023."""
 
 _MICROSECONDS_A_HALO_POINT = 3.0
 
-_WIDEST_REACH = 2.0
-"""Metres of halo for neighbours, at most: points that need more are finished from other tiles."""
-
-_SPARSE_SHARE = 0.1
+_SPARSE_SHARE = 0.25
 """Share of the points, in the sparsest columns, that the halo is not made for."""
 
-_SMALLEST_REACH = 0.25
-"""Metres of halo for neighbours, at least."""
+_WIDEST_REACH = 2.0
+"""Metres of halo, at most: points that need more are finished from other tiles."""
+
+_STEP = 1 / 16
+"""Metres: the halo is a multiple of it, as of the smallest cells that the ground step looks at."""
+
+_HALO_SHARE = 0.15
+"""Points of halos, at most, to points of cores: what more would cost is read from other tiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,24 +159,22 @@ def make_plan(
     PlanError
         When a lattice column alone holds more points than a worker has memory for.
     """
-    # A ground step that looks at the map as a whole does not look at tiles at all.
-    radius = (
-        0.0
-        if ground_radius(configuration.ground) is None
-        else decision_radius(configuration.ground, configuration.needs_heights)
-    )
-    halo = configuration.tiling.halo
-    if halo == "auto":
-        halo = radius + neighbour_reach(survey.occupancy, configuration.neighbours.k)
-    around = max(halo, radius)
+    occupancy, wanted = survey.occupancy, configuration.tiling.halo
+    needed = points_around(configuration.ground, configuration.needs_heights, occupancy.cell)
     max_points = tile_budget(collection, configuration, workers)
-    layout = quadtree(survey.occupancy, max_points, around)
-    held = points_held(layout, survey.occupancy, halo)
-    gathered = held if around == halo else points_held(layout, survey.occupancy, around)
+    layout = quadtree(occupancy, max_points)
+    if wanted == "auto":
+        wanted = halo_width(layout, occupancy, configuration.neighbours.k)
+    halo = max(wanted, needed)
+    held = points_held(layout, occupancy, halo)
     core, all_held = int(layout.counts.sum()), int(held.sum())
     weighs = configuration.removal.weighs_evidence
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
-    kept = _SCORES_ON_DISK + (_EVIDENCE_ON_DISK if weighs else 0)
+    later = _LATER_BYTES + (_EVIDENCE_BYTES if weighs else 0)
+    later += _SCORE_BYTES if configuration.output.needs_scores else 0
+    chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
+    later = core * later + min(core, _SAMPLED) * _SAMPLE_BYTES
+    disk = chunks + max(all_held * _PIECE_BYTES, later) + bytes_kept(collection)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     return Plan(
         point_count=survey.point_count,
@@ -172,36 +183,52 @@ def make_plan(
         halo=halo,
         held=held,
         workers=workers,
-        worker_memory=BASE_BYTES + each * int(gathered.max(initial=0)),
-        disk=all_held * _BYTES_ON_DISK + survey.point_count * kept + bytes_kept(collection),
+        worker_memory=BASE_BYTES + each * int(held.max(initial=0)),
+        disk=disk,
         output_size=output_size(collection, configuration),
         seconds=seconds / 1e6 / workers,
     )
 
 
+def halo_width(layout: Layout, occupancy: Occupancy, k: int) -> float:
+    """Return how wide halos are, metres: as most neighbours need, if that costs few more points."""
+    core = int(layout.counts.sum())
+    steps = int(np.ceil(neighbour_reach(occupancy, k) / _STEP))
+    while steps:
+        held = points_held(layout, occupancy, steps * _STEP)
+        if held.sum() <= (1 + _HALO_SHARE) * core:
+            break
+        steps -= 1
+    return steps * _STEP
+
+
 def neighbour_reach(occupancy: Occupancy, k: int) -> float:
-    """Estimate how far the k-th neighbour of most points is, metres: the halo need not be wider.
+    """Estimate how far the k-th neighbour of most points is, metres.
 
     A column's points are taken to be spread evenly over its ground plan.
     """
     if not len(occupancy.counts):
-        return _SMALLEST_REACH
+        return 0.0
     counts = np.sort(occupancy.counts)
     below = np.cumsum(counts)
     at = int(np.searchsorted(below, _SPARSE_SHARE * below[-1]))
     a_square_metre = counts[at] / occupancy.cell**2
-    reach = float(np.sqrt(k / (np.pi * a_square_metre)))
-    return float(np.clip(np.ceil(reach * 20) / 20, _SMALLEST_REACH, _WIDEST_REACH))
+    return float(min(np.sqrt(k / (np.pi * a_square_metre)), _WIDEST_REACH))
 
 
 def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np.int64]:
-    """Count the points in core and halo of each tile, columns whose middle is there counting whole.
+    """Count the points in core and halo of each tile, about; those of a column lie evenly in it.
 
     Returns
     -------
     (T,) int64 array
     """
-    return count_within(occupancy, layout.low - halo, layout.high + halo)
+    columns, share = divmod(halo, occupancy.cell)
+    inner, outer = (
+        count_within(occupancy, layout.low - margin, layout.high + margin)
+        for margin in (columns * occupancy.cell, (columns + 1) * occupancy.cell)
+    )
+    return inner + ((outer - inner) * (share / occupancy.cell)).astype(np.int64)
 
 
 def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:

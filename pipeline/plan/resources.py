@@ -40,7 +40,7 @@ TILE_BYTES = 260
 """A point of the largest tile, core and halo, in the stage that takes most."""
 
 _HELD = 2
-"""Points of core and halo, at most, for each that the core may have: see `tiling.layout`."""
+"""Points of core and halo, at most, for each of the core, unless `tiling.halo` is wide."""
 
 _USUAL_TILE, _LARGEST_TILE, _SMALLEST_TILE = 1_000_000, 2_000_000, 20_000
 _TILES_A_WORKER = 3
@@ -67,7 +67,7 @@ def is_one_tile(
         return False
     if is_elsewhere(configuration) or collection.point_count > _LARGEST_ONE_TILE:
         return collection.point_count <= _USUAL_TILE
-    wanted, free = _one_tile_memory(collection, configuration)
+    wanted, free = one_tile_memory(collection, configuration)
     return wanted <= free / 2
 
 
@@ -135,7 +135,7 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
     PlanError
         In one line: what it takes, what there is, and what to change.
     """
-    wanted, free = _one_tile_memory(collection, configuration)
+    wanted, free = one_tile_memory(collection, configuration)
     if wanted > free:
         whole = ground_radius(configuration.ground) is None
         method = f"a ground.method other than {configuration.ground.method}"
@@ -147,8 +147,11 @@ def check_one_tile(collection: MapCollection, configuration: Configuration) -> N
         )
 
 
-def _one_tile_memory(collection: MapCollection, configuration: Configuration) -> tuple[int, int]:
-    """Return the bytes that a map of one tile takes, and those that there are."""
+def one_tile_memory(collection: MapCollection, configuration: Configuration) -> tuple[int, int]:
+    """Return the bytes that a map of one tile takes, and those that there are.
+
+    `csf` looks at the map as a whole: this is what it costs.
+    """
     cloth = configuration.ground.method == "csf"
     each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
     if configuration.removal.weighs_evidence:

@@ -18,6 +18,7 @@ from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
 from dynahull.reference.density import reference_densities
+from dynahull.result import NO_CLUSTER
 from pipeline.tiles.nearest import FreePoints, NearestSoFar, Vicinity
 
 _QUERIES_AT_A_TIME = 4_096
@@ -131,7 +132,9 @@ def core_densities(
     CoreDensities
         For the core points, in their order.
     """
-    membership = clusters.nearest(known.xyz) if len(clusters.centroids) else np.zeros(0, np.int32)
+    membership = np.full(len(known), NO_CLUSTER, np.int32)
+    if len(clusters.centroids):  # a tile's own clusters are none where it has no points
+        membership = clusters.nearest(known.xyz)
     density, spread = _nothing(len(known), parameters)
     reach = np.full(len(known), np.inf)
     pending = np.zeros(len(known), np.bool_)
@@ -229,16 +232,15 @@ class _Rest:
             for group, slots in groups.items()
         }
         beyond = self._beyond(vicinities)
-        for cluster, outside in beyond.items():
-            inside = np.flatnonzero(self._membership == cluster)
-            inside_xyz = self._known.xyz.take(inside, axis=0)
-            for group, slots in groups.items():
-                if group[0] != cluster:
-                    continue
-                vicinity = vicinities[group]
-                near = inside[vicinity.holds(inside_xyz)]
-                also_near = outside.select(vicinity.holds(outside.xyz))
-                density[slots], spread[slots] = self._densities(near, also_near, queries[slots])
+        from_border = self._region.distance_to_border(self._known.xyz)
+        for (cluster, octave), slots in groups.items():
+            vicinity, outside = vicinities[cluster, octave], beyond[cluster]
+            # Queries are no farther from the border than they reach.
+            close = from_border <= 2.001 * vicinity.reach
+            near = np.flatnonzero(close & (self._membership == cluster))
+            near = near[vicinity.holds(self._known.xyz.take(near, axis=0))]
+            also_near = outside.select(vicinity.holds(outside.xyz))
+            density[slots], spread[slots] = self._densities(near, also_near, queries[slots])
         return density, spread
 
     def _densities(
@@ -269,9 +271,11 @@ class _Rest:
         gathered = {cluster: [nothing] for cluster, _ in vicinities}
         for tile in self._others_met(list(vicinities.values())):
             points = self._others.free_points(tile)
+            from_border = -self._region.distance_to_border(points.xyz)
             near = np.zeros(len(points), np.bool_)
             for vicinity in vicinities.values():
-                near |= vicinity.holds(points.xyz)
+                close = np.flatnonzero(from_border <= 1.001 * vicinity.reach)
+                near[close] |= vicinity.holds(points.xyz.take(close, axis=0))
             points = points.select(near)
             points = points.select(~self._region.holds(points.xyz))
             membership = self._clusters.nearest(points.xyz)

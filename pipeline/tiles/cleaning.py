@@ -1,6 +1,5 @@
 """Algorithm 1 over tiles: the same labels and densities as in memory, to the last bit."""
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 
@@ -43,7 +42,7 @@ from pipeline.work.job import (
 )
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
-from tiling.chunk_store import ChunkCompression, ChunkStore
+from tiling.chunk_store import ChunkStore
 from tiling.collection import MapCollection
 from tiling.common_grid import grid_of
 from tiling.errors import GridError
@@ -78,22 +77,27 @@ def clean_tiles(
         Points of each label.
     clusters : tuple of ClusterSummary
     """
-    plan_tiles(job, executor, observer, check, "lz4")  # each chunk is read once, and soon
+    plan_tiles(job, executor, observer, check)
     place = job.store.layout.typical_place()
     for note in coarse_step_notes(job.collection, place, job.collection.metres):
         observer.warn(note)
-    cut_into_pieces(job, executor, observer, "ground")
+    gather_chunks(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
+    if job.configuration.ground.method == "slope" and not job.is_spent("columns"):
+        exhaust(do_stage(job, executor, observer, "columns", tiles))
     ground = sum(
-        report.counts[1] for _, report in do_stage(job, executor, observer, "ground", tiles)
+        report.counts[0] for _, report in do_stage(job, executor, observer, "ground", tiles)
     )
+    job.remove_spent("columns")
     warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
-    remove_pieces(job)
+    if job.labelling == "height":
+        exhaust(do_stage(job, executor, observer, "height", tiles))
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
         reports = do_stage(job, executor, observer, "evidence", tiles)
         wide, scored = np.sum([report.counts for _, report in reports], axis=0)
+        job.remove_spent("spread")
         warn_of_sparse_map(int(wide), int(scored), observer)
     else:
         levels = [job.work.load("density", tile, "levels")[0] for tile in range(len(tiles))]
@@ -132,7 +136,6 @@ def plan_tiles(
     executor: Executor,
     observer: StageObserver,
     check: Callable[[Plan], None],
-    compression: ChunkCompression,
 ) -> None:
     """Survey the map, and plan its tiles."""
     rows = [len(part) for part in job.row_ranges]
@@ -162,30 +165,19 @@ def plan_tiles(
             f"{plan.layout.cell:g} m wide, is not divided"
         )
     with noting() as stored:
-        _store(job, plan, survey, compression).save()
+        _store(job, plan, survey).save()
     job.work.finish_step(PLANNING, [*written, *stored])
 
 
-def cut_into_pieces(job: Job, executor: Executor, observer: StageObserver, stage: str) -> None:
-    """Sort the points of a map whose tiles are planned by tile, for a stage that gathers them."""
-    if not job.needs_pieces(stage):
-        return
-    rows = [len(part) for part in job.cut_ranges]
-    exhaust(do_stage(job, executor, observer, "cut", rows))
-    if job.decoded is not None and not job.decoded.has_records:
-        job.decoded.path.unlink(missing_ok=True)
-
-
 def gather_chunks(job: Job, executor: Executor, observer: StageObserver) -> None:
-    """Gather the chunks of a map that is cut into pieces, where no other task does."""
+    """Cut a map whose tiles are planned into chunks: sort its points by tile, and gather these."""
+    if not job.is_spent("cut"):
+        exhaust(do_stage(job, executor, observer, "cut", [len(part) for part in job.cut_ranges]))
+        if job.decoded is not None and not job.decoded.has_records:
+            job.decoded.path.unlink(missing_ok=True)
     tiles = job.store.layout.counts.tolist()
     exhaust(do_stage(job, executor, observer, "chunk", tiles))
-    remove_pieces(job)
-
-
-def remove_pieces(job: Job) -> None:
-    """Remove the pieces: all points are in chunks."""
-    shutil.rmtree(job.store.folder / "pieces", ignore_errors=True)
+    job.remove_spent("cut")
 
 
 def find_clusters(job: Job, observer: StageObserver) -> None:
@@ -215,7 +207,7 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
     observer.stage("clustering", sum(counts))
     xyz, rows = np.empty((0, 3)), np.empty(0, np.int64)
     for tile in tiles:
-        more_xyz, more_rows = job.work.load("ground", tile, *SAMPLE_NAMES)
+        more_xyz, more_rows = job.work.load(job.labelling, tile, *SAMPLE_NAMES)
         xyz, rows = np.concatenate([xyz, more_xyz]), np.concatenate([rows, more_rows])
         # A sample of samples is the sample of the whole: so it never grows.
         chosen = sample_rows(rows, job.finite_count, parameters)
@@ -245,7 +237,7 @@ def _whole_survey(
     return survey_of_others(merged, strays), strays, left_out
 
 
-def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) -> ChunkStore:
+def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:
     chunks = job.configuration.tiling.format
     return ChunkStore(
         job.root / CHUNKS_FOLDER,
@@ -254,7 +246,6 @@ def _store(job: Job, plan: Plan, survey: Survey, compression: ChunkCompression) 
         survey.point_count,
         chunks,
         None if chunks == "parquet" else grid_of(job.collection, survey),
-        compression,
         plan.max_points,
     )
 

@@ -20,10 +20,10 @@ from pipeline.eligibility import LEFT_OUT, PROTECTED, Watcher, hidden, may_mark,
 from pipeline.work.files import open_rows, read_sealed, write_rows, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunks import assemble
+from tiling.chunks import write_chunk
 from tiling.formats.points import PointBatch
 from tiling.output_file import make_sized
-from tiling.pieces import write_pieces
+from tiling.pieces import gathered, sort_by_tile
 from tiling.survey import survey_batches
 
 SET_ASIDE_FILE = "set_aside.json"
@@ -170,11 +170,29 @@ def _values_kept(
 def cut_rows(job: Job, number: int) -> TaskReport:
     """Sort one range of rows by tile into a piece."""
     rows = job.cut_ranges[number]
-    written = write_pieces(job.store, PointsTakingPart(job), rows, number)
-    return TaskReport(len(rows), (written,))
+    points, runs = sort_by_tile(job.store, PointsTakingPart(job), rows)
+    job.work.save("cut", number, points=points, runs=runs)
+    return TaskReport(len(rows), (len(points),))
 
 
-def assemble_tile(job: Job, tile: int) -> TaskReport:
-    """Gather the points of a tile from all pieces into its chunk."""
-    chunk = assemble(job.store, tile)
+def gather_tile(job: Job, tile: int) -> TaskReport:
+    """Gather the points of a tile from all pieces into its chunk; the report counts them."""
+    runs = _runs_of_all(str(job.root), (job.root / "cut").stat().st_mtime_ns)
+    own = runs[slice(*np.searchsorted(runs[:, 0], [tile, tile + 1]))]
+    points = [
+        job.work.map("cut", piece, "points")[first : first + count]
+        for _, first, count, piece in own.tolist()
+    ]
+    chunk = gathered(job.store, tile, points)
+    write_chunk(job.store, tile, chunk)
     return TaskReport(int(job.store.layout.counts[tile]), (len(chunk),))
+
+
+@lru_cache(maxsize=1)
+def _runs_of_all(folder: str, _changed: int) -> NDArray[np.int64]:
+    """Return the runs of all pieces by tile, and of which piece each is, once for all tiles."""
+    job = Job.open(folder)
+    parts = [job.work.load("cut", piece, "runs")[0] for piece in range(len(job.cut_ranges))]
+    pieces = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    runs = np.column_stack([np.concatenate(parts), pieces])
+    return runs[np.argsort(runs[:, 0], kind="stable")]

@@ -5,22 +5,24 @@ from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters
 from dynahull.density import SPREAD_COLUMNS
+from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
+from dynahull.labels import Label
 from dynahull.warn import density_levels
 from pipeline.tiles.borders import core_densities
 from pipeline.tiles.division import divided, widened
 from pipeline.tiles.ground import (
-    AROUND_NAMES,
-    OWN_NAMES,
-    OWN_ROWS,
     SAMPLE_NAMES,
     TilesAround,
+    labelled_points,
+    own_points,
     region_of,
 )
 from pipeline.tiles.nearest import FreePoints
-from pipeline.tiles.thresholds import ScoredPoints
-from pipeline.tiles.weighing import scored_voxels
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
+
+VOXELS = "voxels"
 
 _NEIGHBOURS_WITHIN = 2.0
 """Metres around a part of a tile that most neighbours are found in; the others are looked for."""
@@ -33,14 +35,23 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     after the other. The report counts the points finished from further tiles, then those of each
     cluster.
     """
-    free, core = _points_of_region(job, tile)
+    chunk, labels = labelled_points(job, tile)
+    weighs = job.configuration.removal.weighs_evidence
+    unscored = chunk.core & (labels != Label.STATIC)
+    voxels = []
+    if weighs:
+        scans = job.scans_of(chunk.rows[unscored])
+        voxels.append(summarise_ground(chunk.xyz[unscored], scans))
+    known = np.flatnonzero(labels == Label.STATIC)
+    free, core = FreePoints(chunk.xyz[known], chunk.rows[known]), chunk.core[known]
+    del chunk, labels, unscored, known
     xyz = free.xyz
     clusters = clusters_of(job, tile)
     region = region_of(job, tile)
     # Around a part lies the rest of the tile, as other tiles lie around the tile.
     others = TilesAround(job, tile if sides == 1 else None)
     cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
-    columns = SPREAD_COLUMNS if job.configuration.removal.weighs_evidence else 0
+    columns = SPREAD_COLUMNS if weighs else 0
     spread = np.full((len(free), columns), np.nan, np.float32)
     finished_elsewhere = 0
     for box in divided(region, xyz, sides):
@@ -58,41 +69,34 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         cluster[known[own]], density[known[own]] = scores.cluster, scores.density
         spread[known[own]] = scores.spread
         finished_elsewhere += scores.finished_elsewhere
-    scored = ScoredPoints(cluster[core], density[core], free.rows[core])
-    voxels = scored_voxels(job, tile, scored.density, spread[core]) if columns else {}
-    order = np.argsort(scored.cluster, kind="stable")
+    cluster, density = cluster[core], density[core]
+    if weighs:
+        unknown, scans = np.full(len(density), np.nan), job.scans_of(free.rows[core])
+        points = ScoredPoints(xyz[core], density, spread[core], unknown, scans)
+        voxels.append(summarise_points(points))
+        summed = Voxels.merged(voxels).to_arrays(VOXELS)
+        job.work.make("spread")
+        job.work.save("spread", tile, spread=points.spread, **summed)
+    order = np.argsort(cluster, kind="stable")
     job.work.save(
         "density",
         tile,
-        **voxels,
-        grouped=scored.density[order],
-        starts=np.searchsorted(scored.cluster[order], np.arange(len(clusters.centroids) + 1)),
-        levels=density_levels(scored.density),
+        order=order.astype(np.uint32),
+        grouped=density[order],
+        starts=np.searchsorted(cluster[order], np.arange(len(clusters.centroids) + 1)),
+        levels=density_levels(density),
         centroids=clusters.centroids,
-        cluster=scored.cluster,
-        density=scored.density,
     )
-    counts = np.bincount(scored.cluster, minlength=len(clusters.centroids))
-    points = int(job.store.layout.counts[tile])
-    return TaskReport(points, (finished_elsewhere, *counts.tolist()))
-
-
-def _points_of_region(job: Job, tile: int) -> tuple[FreePoints, NDArray[np.bool_]]:
-    """Return the ground-free points that a tile knows, and which of them are its own."""
-    # Joined as they are read, so that nothing is there twice.
-    xyz, rows = (
-        [job.work.map("ground", tile, name) for name in names]
-        for names in zip(OWN_NAMES, AROUND_NAMES, strict=True)
-    )
-    points = FreePoints(np.concatenate(xyz), np.concatenate(rows))
-    return points, np.arange(len(points)) < len(rows[0])
+    counts = np.bincount(cluster, minlength=len(clusters.centroids))
+    points_of_core = int(job.store.layout.counts[tile])
+    return TaskReport(points_of_core, (finished_elsewhere, *counts.tolist()))
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:
     """Return the model of the map, or fit that of a tile on the sample of its points."""
     if job.configuration.clustering.scope == "map":
         return job.clusters
-    sample, _ = job.work.load("ground", tile, *SAMPLE_NAMES)
+    sample, _ = job.work.load(job.labelling, tile, *SAMPLE_NAMES)
     return fit_clusters(sample, job.configuration.clustering)
 
 
@@ -102,13 +106,13 @@ def first_cluster(job: Job, tile: int) -> int:
     return tile * clustering.count if clustering.scope == "tile" else 0
 
 
-_BY_ROW = ("cluster", "density")
-
-
-def scored_points(job: Job, tile: int) -> ScoredPoints:
-    """Return the scores of a tile."""
-    scores = job.work.load("density", tile, *_BY_ROW)
-    return ScoredPoints(*scores, *job.work.load("ground", tile, OWN_ROWS))
+def scores_of(job: Job, tile: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return cluster and density of a tile's ground-free core points, in the order of rows."""
+    order, grouped, starts = job.work.load("density", tile, "order", "grouped", "starts")
+    cluster, density = np.empty(len(order), np.int32), np.empty(len(order))
+    cluster[order] = np.repeat(np.arange(len(starts) - 1, dtype=np.int32), np.diff(starts))
+    density[order] = grouped
+    return cluster, density
 
 
 class KeptScores:
@@ -126,6 +130,8 @@ class KeptScores:
 
     def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
         """Return the row numbers of its points in a cluster that have just this density."""
-        scored = scored_points(self._job, self._tile)
-        tied = (scored.cluster == cluster) & (scored.density == density)
-        return np.asarray(scored.rows[tied])
+        if not (self.densities(cluster) == density).any():
+            return np.zeros(0, np.int64)
+        found, densities = scores_of(self._job, self._tile)
+        tied = (found == cluster) & (densities == density)
+        return np.asarray(own_points(self._job, self._tile).rows[tied])

@@ -1,103 +1,152 @@
-"""The task that takes the ground off one tile."""
+"""The tasks that take the ground off one tile.
+
+A tile reduces its columns once to what the ground step looks at from afar, and decides about its
+own points by that of all tiles around: see `dynahull.ground`.
+"""
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.algorithm import set_ground_aside
 from dynahull.clustering import sample_rows
+from dynahull.ground.lattice import number_columns
+from dynahull.ground.methods import (
+    ground_mask,
+    ground_summary,
+    height_above_floors,
+    height_summary,
+)
+from dynahull.ground.reach import decided_around, ground_radius, height_radius
+from dynahull.ground.slope import GroundSummary
 from dynahull.labels import Label
-from dynahull.progress import SilentObserver
+from dynahull.summary import Summary
 from pipeline.outputs.map_sample import is_sampled
 from pipeline.tiles.borders import Region
-from pipeline.tiles.division import divided
 from pipeline.tiles.nearest import FreePoints
-from pipeline.tiles.weighing import unscored_voxels
 from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunk_store import Chunk, joined
-from tiling.chunks import assemble, has_chunk, read_chunk, read_cores
-from tiling.layout import Layout
-from tiling.ledger import note_file
+from tiling.chunk_store import Chunk
+from tiling.chunks import read_chunk
 
-LABEL_NAMES = ("core_rows", "core_labels")
-OWN_ROWS = "own_rows"
-OWN_NAMES = ("own_xyz", OWN_ROWS)
-AROUND_NAMES = ("around_xyz", "around_rows")
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 SHOWN_NAMES = ("shown_xyz", "shown_rows")
+LABELS = "labels"
+_LEVELS, _OUTLINES, _FLOORS = "levels", "outlines", "floors"
+
+
+def summarise_tile(job: Job, tile: int) -> TaskReport:
+    """Summarise the columns of a tile: what the ground around is found by."""
+    chunk = read_chunk(job.store, tile)
+    levels, outlines = ground_summary(chunk.xyz, chunk.core, job.configuration.ground)
+    kept = levels.to_arrays(_LEVELS) | outlines.to_arrays(_OUTLINES)
+    job.work.save("columns", tile, **kept)
+    return TaskReport(int(job.store.layout.counts[tile]))
 
 
 def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
-    """Label the ground of a tile's core, and keep the ground-free points of its region.
+    """Label the ground of a tile's region, and summarise what heights above it are told by.
 
-    Its points are gathered into its chunk first, if that is not there yet.
-
-    Kept as well are those of its points that the clusters are fitted on, and those that the report
-    shows. Where the memory does not suffice for the tile, `sides` x `sides` parts of it are done
-    one after the other. The report counts the ground-free points, and those of the ground.
+    Where the memory does not suffice for the tile, its columns are done in `sides` x `sides` parts,
+    one after the other. The report counts the points of the core that are ground.
     """
-    chunk = _surroundings(job, tile)
-    boxes = divided(region_of(job, tile), chunk.xyz, sides)
-    parts = [_labelled(job, chunk, box, sides) for box in boxes]
-    decided, labels, heights = parts[0]
-    if len(parts) > 1:
-        decided = joined([part for part, _, _ in parts])
-        order = np.argsort(decided.rows)
-        decided = decided.select(order)
-        labels = np.concatenate([of_part for _, of_part, _ in parts])[order]
-        heights = np.concatenate([of_part for _, _, of_part in parts])[order]
-    free = labels == Label.STATIC
-    core_rows = decided.rows[decided.core]
-    own, around = decided.select(free & decided.core), decided.select(free & ~decided.core)
-    core_count = len(core_rows)
-    parameters = job.configuration.clustering
-    total = core_count if parameters.scope == "tile" else job.finite_count
-    sample = sample_rows(own.rows, total, parameters)
-    arrays: dict[str, NDArray[Any]] = {
-        "core_rows": core_rows,
-        "core_labels": labels[decided.core],
-        "own_xyz": own.xyz,
-        "own_rows": own.rows,
-        "around_xyz": around.xyz,
-        "around_rows": around.rows,
-        "sample_xyz": own.xyz[sample],
-        "sample_rows": own.rows[sample],
-    }
-    if job.configuration.removal.weighs_evidence:
-        arrays["own_height"] = heights[free & decided.core]
-        arrays |= unscored_voxels(decided.xyz[~free & decided.core])
-    if job.configuration.output.report == "html":
-        shown = np.flatnonzero(decided.core)
-        shown = shown[is_sampled(core_rows, job.collection.point_count)]
-        arrays |= {"shown_xyz": decided.xyz[shown], "shown_rows": decided.rows[shown]}
+    chunk = read_chunk(job.store, tile)
+    ground = _ground_of(job, tile, chunk, sides)
+    labels = np.full(len(chunk), Label.INVALID, np.uint8)
+    known = region_of(job, tile).holds(chunk.xyz)
+    labels[known] = np.where(ground[known], Label.GROUND, Label.STATIC)
+    arrays: dict[str, NDArray[Any]] = {LABELS: labels}
+    if job.configuration.needs_heights:
+        of_ground = chunk.select(labels == Label.GROUND)
+        floors = height_summary(of_ground.xyz, of_ground.core, job.configuration.ground)
+        arrays |= floors.to_arrays(_FLOORS)
+    if job.labelling == "ground":
+        arrays |= _samples(job, chunk, labels)
     job.work.save("ground", tile, **arrays)
-    ground = int(np.count_nonzero(arrays["core_labels"] == Label.GROUND))
-    return TaskReport(core_count, (len(own), ground))
+    count = int(job.store.layout.counts[tile])
+    return TaskReport(count, (int(np.count_nonzero(ground & chunk.core)),))
 
 
-def _labelled(
-    job: Job, chunk: Chunk, box: Region, sides: int
-) -> tuple[Chunk, NDArray[np.uint8], NDArray[np.float64]]:
-    """Return the points of a box, their labels and heights; `chunk` holds all that decide."""
-    points = chunk
-    if sides > 1:
-        flat, radius = chunk.xyz[:, :2], job.decision_radius
-        near = (flat >= box.low - radius) & (flat <= box.high + radius)
-        points = chunk.select(np.flatnonzero(near.all(axis=1)))
+def find_high(job: Job, tile: int) -> TaskReport:
+    """Label what is higher above the ground than is scored, in a tile's region."""
+    chunk = read_chunk(job.store, tile)
+    (labels,) = job.work.load("ground", tile, LABELS)
+    free = np.flatnonzero(labels == Label.STATIC)
+    limit = job.configuration.max_height
+    height = heights_of(job, tile, chunk.xyz[free])
+    labels[free[height > (np.inf if limit is None else limit)]] = Label.ABOVE
+    job.work.save("height", tile, **{LABELS: labels}, **_samples(job, chunk, labels))
+    return TaskReport(int(job.store.layout.counts[tile]))
+
+
+def _ground_of(job: Job, tile: int, chunk: Chunk, sides: int) -> NDArray[np.bool_]:
+    """Tell which points of a chunk are ground, as far as they decide it."""
+    parameters = job.configuration.ground
     classes = None
     if job.needs_classes:
-        classes = open_rows(job.rows_path("class"), np.uint8)[points.rows]
-    every = np.ones(len(points), np.bool_)
-    parameters = job.configuration.method()
-    aside = set_ground_aside(points.xyz, every, parameters, classes, SilentObserver())
-    labels = np.full(len(points), Label.STATIC, np.uint8)
-    labels[aside.ground], labels[aside.above] = Label.GROUND, Label.ABOVE
-    inside = box.holds(points.xyz)
-    return points.select(inside), labels[inside], aside.height[inside]
+        classes = open_rows(job.rows_path("class"), np.uint8)[chunk.rows]
+    if parameters.method != "slope":
+        return ground_mask(chunk.xyz, parameters, classes)
+    radius = ground_radius(parameters)
+    assert radius is not None  # what looks at the map as a whole is not cut
+    around = GroundSummary(*_around(job, "columns", tile, radius, _LEVELS, _OUTLINES))
+    if sides == 1:
+        return ground_mask(chunk.xyz, parameters, around=around)
+    ground = np.zeros(len(chunk), np.bool_)
+    numbers, _ = number_columns(chunk.xyz, parameters.slope.expert.cell)
+    for part in range(sides**2):
+        own = np.flatnonzero(numbers % sides**2 == part)
+        ground[own] = ground_mask(chunk.xyz.take(own, axis=0), parameters, around=around)
+    return ground
+
+
+def heights_of(job: Job, tile: int, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return heights above the ground of points of a tile's region, metres."""
+    ground = job.configuration.ground
+    (floors,) = _around(job, "ground", tile, height_radius(ground), _FLOORS)
+    return height_above_floors(xyz, floors, ground)
+
+
+def _around(job: Job, stage: str, tile: int, radius: float, *names: str) -> list[Summary]:
+    """Return what tiles say of the cells within a radius of a tile's region."""
+    layout, cell = job.store.layout, job.configuration.ground.slope.expert.cell
+    low = layout.low[tile] - (job.store.halo + radius)
+    high = layout.high[tile] + (job.store.halo + radius)
+    parts = [
+        [
+            each.within(low / cell - 1, high / cell + 1)
+            for each in summaries(job, stage, near, *names)
+        ]
+        for near in layout.near(low, high).tolist()
+    ]
+    return [Summary.joined(of_name) for of_name in zip(*parts, strict=True)]
+
+
+def summaries(job: Job, stage: str, tile: int, *names: str) -> list[Summary]:
+    """Return what a task kept by `Summary.to_arrays`, by their names."""
+    arrays = job.work.load(stage, tile, *chain.from_iterable(map(Summary.names, names)))
+    return [Summary(*pair) for pair in zip(arrays[::2], arrays[1::2], strict=True)]
+
+
+def _samples(job: Job, chunk: Chunk, labels: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    """Return those points of a core that clusters are fitted on, and those that the report shows.
+
+    Without a report none are shown.
+    """
+    parameters = job.configuration.clustering
+    own = np.flatnonzero(chunk.core & (labels == Label.STATIC))
+    in_core = int(np.count_nonzero(chunk.core))
+    total = in_core if parameters.scope == "tile" else job.finite_count
+    fitted = own[sample_rows(chunk.rows[own], total, parameters)]
+    kept = {"sample_xyz": chunk.xyz[fitted], "sample_rows": chunk.rows[fitted]}
+    if job.configuration.output.report == "html":
+        core = np.flatnonzero(chunk.core)
+        shown = core[is_sampled(chunk.rows[core], job.collection.point_count)]
+        kept |= {"shown_xyz": chunk.xyz[shown], "shown_rows": chunk.rows[shown]}
+    return kept
 
 
 def region_of(job: Job, tile: int) -> Region:
@@ -106,7 +155,7 @@ def region_of(job: Job, tile: int) -> Region:
     It has no end where the map has none beyond.
     """
     layout = job.store.layout
-    margin = max(job.store.halo - job.decision_radius, 0.0)
+    margin = decided_around(job.configuration.ground, job.store.halo, layout.cell)
     low, high = layout.low[tile] - margin, layout.high[tile] + margin
     return Region(
         np.where(low <= layout.low.min(axis=0), -np.inf, low),
@@ -114,30 +163,20 @@ def region_of(job: Job, tile: int) -> Region:
     )
 
 
-def _surroundings(job: Job, tile: int) -> Chunk:
-    """Return all points that decide which points of a tile's region are free of the ground."""
-    store = job.store
-    if has_chunk(store, tile):
-        chunk = read_chunk(store, tile)
-        note_file(store.chunk_path(tile))  # what this task leaves, as if it had made it
-    else:
-        chunk = assemble(store, tile)
-    if store.halo >= job.decision_radius:
-        return chunk
-    # The halo is too narrow: the rest comes from the tiles around.
-    layout = store.layout
-    low = layout.low[tile] - job.decision_radius
-    high = layout.high[tile] + job.decision_radius
-    near = layout.near(low, high)
-    around = read_cores(store, near[near != tile].tolist(), low, high)
-    around.core[:] = False
-    together = joined([chunk.select(chunk.core), around])
-    return together.select(np.argsort(together.rows))
+def labelled_points(job: Job, tile: int) -> tuple[Chunk, NDArray[np.uint8]]:
+    """Return the points of a tile, core and halo, and what is known of them before the scoring.
+
+    What is labelled static is scored; what is labelled invalid is not known here.
+    """
+    (labels,) = job.work.load(job.labelling, tile, LABELS)
+    return read_chunk(job.store, tile), labels
 
 
 def own_points(job: Job, tile: int) -> FreePoints:
-    """Return the ground-free points of a tile's core, of which only what is looked at is read."""
-    return FreePoints(*(job.work.map("ground", tile, name) for name in OWN_NAMES))
+    """Return the ground-free points of a tile's core."""
+    chunk, labels = labelled_points(job, tile)
+    own = np.flatnonzero(chunk.core & (labels == Label.STATIC))
+    return FreePoints(chunk.xyz.take(own, axis=0), chunk.rows.take(own))
 
 
 class TilesAround:
@@ -152,7 +191,7 @@ class TilesAround:
 
     def __init__(self, job: Job, tile: int | None) -> None:
         self._job = job
-        self._layout: Layout = job.store.layout
+        self._layout = job.store.layout
         self._tile = tile
         self._latest: dict[int, FreePoints] = {}
 

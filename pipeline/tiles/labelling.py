@@ -1,6 +1,6 @@
 """The task that labels the points of one tile, once all are scored, and what all tiles then say."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -17,13 +17,13 @@ from dynahull.result import NO_CLUSTER
 from pipeline.decision import Decision
 from pipeline.errors import WorkError
 from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
-from pipeline.outputs.map_sample import MapSample, is_sampled
+from pipeline.outputs.map_sample import MapSample
 from pipeline.places import ARRAY_NAMES, DecisionSums
 from pipeline.report_page.charts import TileWork
 from pipeline.tiles.cutting import label_unscored, protected_rows
-from pipeline.tiles.density import KeptScores, first_cluster, scored_points
-from pipeline.tiles.ground import LABEL_NAMES, SHOWN_NAMES
-from pipeline.tiles.thresholds import Cut, ScoredPoints, find_cuts
+from pipeline.tiles.density import KeptScores, first_cluster, scores_of
+from pipeline.tiles.ground import SHOWN_NAMES, labelled_points
+from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.tiles.weighing import judge_tile
 from pipeline.work.files import GO_ON, make_rows, open_rows, read_sealed, write_sealed
 from pipeline.work.folder import TaskReport
@@ -31,7 +31,7 @@ from pipeline.work.job import JOB_FILE, Job
 
 CUTS_FILE = "cuts.json"
 
-_STAGES_OF_A_TILE = ("ground", "density", "evidence", "label")
+_STAGES_OF_A_TILE = ("chunk", "columns", "ground", "height", "density", "evidence", "label")
 
 LABELS: dict[str, tuple[DTypeLike, float]] = {"label": (np.uint8, Label.INVALID)}
 SCORES: dict[str, tuple[DTypeLike, float]] = {
@@ -41,6 +41,8 @@ SCORES: dict[str, tuple[DTypeLike, float]] = {
     "reason": (np.uint8, NO_REASON),
 }
 """Files of one value a row: their types, and what a row has that is in no tile."""
+
+_SHOWN = ("label", "cluster", "density", "score")
 
 
 def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
@@ -63,49 +65,56 @@ def label_tile(job: Job, tile: int) -> TaskReport:
 
     The report counts the points of each label, then those removed from each cluster.
     """
-    core_rows, labels = job.work.load("ground", tile, *LABEL_NAMES)
-    scored = scored_points(job, tile)
+    chunk, labels = labelled_points(job, tile)
+    labels, core_rows = labels[chunk.core], chunk.rows[chunk.core]
+    cluster_of, density = scores_of(job, tile)
     counts, cuts = _cuts_of(job, tile)
     removal = job.configuration.removal
     judged = judge_tile(job, tile) if removal.weighs_evidence else None
     score = None if judged is None else judged.score
-    removed, safe = [], protected_rows(job, scored.rows)
+    removed = []
     place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
+    safe = protected_rows(job, core_rows[place])
     for cluster, (count, cut) in enumerate(zip(counts, cuts, strict=True)):
-        members = np.flatnonzero(scored.cluster == cluster)
+        members = np.flatnonzero(cluster_of == cluster)
         if count < SMALLEST_CLUSTER:
             labels[place[members]] = Label.UNSCORED
         if score is None:
-            dynamic = cut.dynamic(scored.density[members], scored.rows[members])
+            dynamic = cut.dynamic(density[members], core_rows[place[members]])
         else:
             dynamic = remove_likely(score[members], removal.confidence).dynamic
         dynamic &= ~safe[members]
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
-    kept: dict[str, NDArray[Any]] = {"label": labels}
+    values: dict[str, NDArray[Any]] = {"label": labels}
+    for name, found in (
+        ("cluster", cluster_of + first_cluster(job, tile)),
+        ("density", density),
+        ("score", np.nan if score is None else score),
+        ("reason", NO_REASON if judged is None else judged.reason),
+    ):
+        kind, nothing = SCORES[name]
+        values[name] = np.full(len(core_rows), nothing, kind)
+        values[name][place] = found
+    kept = {"rows": core_rows, **values}
+    if not job.configuration.output.needs_scores:
+        kept = {"rows": core_rows, "label": labels}
     if judged is not None:
-        kept |= _decided(job, tile, judged, safe).to_arrays()
+        xyz = chunk.xyz[chunk.core][place]
+        kept |= _decided(job, tile, xyz, judged, safe).to_arrays()
     if job.configuration.output.report == "html":
-        kept |= shown_points(job, tile, core_rows, labels, scored, score).to_arrays()
-    if job.configuration.output.needs_scores:
-        kept["cluster"] = np.full(len(core_rows), NO_CLUSTER, np.int32)
-        kept["cluster"][place] = scored.cluster + first_cluster(job, tile)
-        kept["density"] = np.full(len(core_rows), np.nan)
-        kept["density"][place] = scored.density
-        kept["score"] = np.full(len(core_rows), np.nan, np.float32)
-        kept["reason"] = np.full(len(core_rows), NO_REASON, np.uint8)
-        if judged is not None:
-            kept["score"][place], kept["reason"][place] = judged.score, judged.reason
+        kept |= shown_points(job, tile, core_rows, values).to_arrays()
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
         kept["thresholds"] = np.array(limits)
     job.work.save("label", tile, **kept)
-    found = np.bincount(labels, minlength=len(Label)).tolist()
-    return TaskReport(len(core_rows), (*found, *removed))
+    counted = np.bincount(labels, minlength=len(Label)).tolist()
+    return TaskReport(len(core_rows), (*counted, *removed))
 
 
-def _decided(job: Job, tile: int, judged: Judged, safe: NDArray[np.bool_]) -> DecisionSums:
-    (xyz,) = job.work.load("ground", tile, "own_xyz")
+def _decided(
+    job: Job, tile: int, xyz: NDArray[np.float64], judged: Judged, safe: NDArray[np.bool_]
+) -> DecisionSums:
     layout = job.store.layout
     core = np.stack([layout.low[tile], layout.high[tile]])
     confidence = job.configuration.removal.confidence
@@ -152,30 +161,13 @@ def _extremes(job: Job, counts: list[int]) -> list[int]:
 
 
 def shown_points(
-    job: Job,
-    tile: int,
-    core_rows: NDArray[np.int64],
-    core_labels: NDArray[np.uint8],
-    scored: ScoredPoints,
-    score_of: NDArray[np.float32] | None,
+    job: Job, tile: int, core_rows: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
 ) -> MapSample:
-    """Return the sampled points of a tile's core, and what became of them.
-
-    `score_of` says how likely the points that are `scored` have moved, if that was asked.
-    """
-    total = job.collection.point_count
-    xyz, rows = job.work.load("ground", tile, *SHOWN_NAMES)
-    wanted = is_sampled(scored.rows, total)
-    cluster = np.full(len(rows), NO_CLUSTER, np.int32)
-    density = np.full(len(rows), np.nan)
-    place = np.searchsorted(rows, scored.rows[wanted])  # rows are in order
-    cluster[place] = scored.cluster[wanted] + first_cluster(job, tile)
-    density[place] = scored.density[wanted]
-    score = np.full(len(rows), np.nan, np.float32)
-    if score_of is not None:
-        score[place] = score_of[wanted]
-    labels = core_labels[np.searchsorted(core_rows, rows)]
-    return MapSample(total, rows, xyz, labels, cluster, density, score)
+    """Return the sampled points of a tile's core, and what became of them: `values` of all."""
+    xyz, rows = job.work.load(job.labelling, tile, *SHOWN_NAMES)
+    shown = np.searchsorted(core_rows, rows)  # rows are in order
+    of_shown = (values[name][shown] for name in _SHOWN)
+    return MapSample(job.collection.point_count, rows, xyz, *of_shown)
 
 
 def gather_sample(job: Job) -> MapSample:
@@ -227,8 +219,7 @@ class RowResults:
 
     def add(self, tile: int) -> None:
         """Take over what the label task of a tile kept."""
-        (rows,) = self._job.work.load("ground", tile, "core_rows")
-        values = self._job.work.load("label", tile, *self._files)
+        rows, *values = self._job.work.load("label", tile, "rows", *self._files)
         for file, of_tile in zip(self._files.values(), values, strict=True):
             file[rows] = of_tile
 

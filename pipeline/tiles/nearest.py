@@ -53,17 +53,17 @@ class Vicinity:
     ----------
     low, high : (2,) float64 arrays
         The box of the surroundings.
+    reach : float
+        The farthest.
     """
 
     def __init__(self, xyz: NDArray[np.float64], reach: NDArray[np.float64]) -> None:
-        flat = xyz[:, :2]
+        flat, self.reach = xyz[:, :2], float(reach.max())
         extent = flat.max(axis=0) - flat.min(axis=0)
         # Wider than the reach, and than what coordinates tell apart, by more than the rounding of a
         # place can move it: so never two cells away.
         rounding = float(np.spacing(np.abs(flat).max()))
-        self._cell = max(
-            float(reach.max()) * 1.001, float(extent.max()) / _MOST_CELLS, 1e4 * rounding
-        )
+        self._cell = max(self.reach * 1.001, float(extent.max()) / _MOST_CELLS, 1e4 * rounding)
         self.low = flat.min(axis=0) - 2 * self._cell
         cells = ((flat - self.low) / self._cell).astype(np.int64)
         shape = cells.max(axis=0) + 3

@@ -10,10 +10,10 @@ from typing import Any
 from pipeline.errors import TasksFailedError
 from pipeline.plan.machine import give_memory_back
 from pipeline.progress import StageObserver
-from pipeline.tiles.cutting import assemble_tile, cut_rows, survey_rows
+from pipeline.tiles.cutting import cut_rows, gather_tile, survey_rows
 from pipeline.tiles.density import score_tile
 from pipeline.tiles.division import SIDES
-from pipeline.tiles.ground import find_ground
+from pipeline.tiles.ground import find_ground, find_high, summarise_tile
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.weighing import weigh_tile
 from pipeline.tiles.writing import file_of_part, write_part
@@ -28,8 +28,10 @@ from tiling.output_file import writing_only_into
 TASKS: Mapping[str, Callable[..., TaskReport]] = {
     "survey": survey_rows,
     "cut": cut_rows,
-    "chunk": assemble_tile,
+    "chunk": gather_tile,
+    "columns": summarise_tile,
     "ground": find_ground,
+    "height": find_high,
     "density": score_tile,
     "evidence": weigh_tile,
     "label": label_tile,

@@ -19,23 +19,6 @@ _ROW_BITS = 20
 """Of a row number: that many rows are held at a time when equally dense points are told apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScoredPoints:
-    """Points of one tile that were clustered.
-
-    Attributes
-    ----------
-    cluster : (n,) int32 array
-    density : (n,) float64 array
-        Positive; infinite where the hull has no volume, NaN where not scored.
-    rows : (n,) int64 array
-    """
-
-    cluster: NDArray[np.int32]
-    density: NDArray[np.float64]
-    rows: NDArray[np.int64]
-
-
 class ScoredTile(Protocol):
     """What is known of the points of a tile that were clustered."""
 

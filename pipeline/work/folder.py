@@ -24,7 +24,7 @@ from tiling.ledger import Written
 WORK_FOLDER = ".dynahull-work"
 """Within the output folder."""
 
-_ARRAYS = ".arrays"
+ARRAYS = ".arrays"
 """Suffix of what a task keeps."""
 
 REMOVED_FOLDER = f"{WORK_FOLDER}-removed"
@@ -150,16 +150,16 @@ class WorkFolder:
 
     def save(self, stage: str, task: int, **arrays: NDArray[Any]) -> None:
         """Keep the arrays of a task."""
-        with atomic_file(self.path(stage, task, _ARRAYS)) as temporary:
+        with atomic_file(self.path(stage, task, ARRAYS)) as temporary:
             write_arrays(temporary, arrays)
 
     def load(self, stage: str, task: int, *names: str) -> list[NDArray[Any]]:
         """Return arrays of a finished task."""
-        return read_arrays(self.path(stage, task, _ARRAYS), *names)
+        return read_arrays(self.path(stage, task, ARRAYS), *names)
 
     def map(self, stage: str, task: int, name: str) -> NDArray[Any]:
         """Return an array of a finished task, of which only what is looked at is read."""
-        return map_array(self.path(stage, task, _ARRAYS), name)
+        return map_array(self.path(stage, task, ARRAYS), name)
 
 
 def is_self_contained(work: Path) -> bool:

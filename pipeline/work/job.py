@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters
-from dynahull.ground.reach import decision_radius
 from pipeline.configuration.run import Configuration
 from pipeline.errors import InputChangedError
 from pipeline.scan_numbers import ScanSource
 from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
-from pipeline.work.folder import WorkFolder
+from pipeline.work.folder import ARRAYS, WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunk_store import ChunkStore
-from tiling.chunks import has_chunk
 from tiling.collection import MapCollection
 from tiling.kept_points import KeptPoints
 
@@ -34,6 +32,9 @@ SCANS_FILE = "scans.json"
 TIMING, PLANNING, FITTING, CREATING = "times", "plan", "clustering", "outputs"
 """Steps that are about the whole map and are not shared out: what tells when points were seen,
 tiles, clusters, outputs in parts."""
+
+LAST_READ_BY = {"cut": "chunk", "columns": "ground", "spread": "evidence"}
+"""Folders of what is large and soon needed no more, and the stage that is the last to read it."""
 
 ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -127,10 +128,10 @@ class Job:
         """The map cut into chunks; there once it is planned."""
         return ChunkStore.open(self.root / CHUNKS_FOLDER)
 
-    @cached_property
-    def decision_radius(self) -> float:
-        """Metres within which all points lie that decide whether a point is free of the ground."""
-        return decision_radius(self.configuration.ground, self.configuration.needs_heights)
+    @property
+    def labelling(self) -> str:
+        """The stage after which it is known which points are scored."""
+        return "ground" if self.configuration.max_height is None else "height"
 
     @cached_property
     def clusters(self) -> Clusters:
@@ -144,12 +145,11 @@ class Job:
         stored = read_sealed(path)["source"] if path.exists() else None
         return None if stored is None else ScanSource.model_validate(stored)
 
-    @property
-    def scans(self) -> NDArray[np.int32] | None:
-        """The scan number of every row, -1 where not known, in a file; None where nothing tells."""
+    def scans_of(self, rows: NDArray[np.int64]) -> NDArray[np.int32] | None:
+        """Return the scan number of some rows, -1 where not known; None where nothing tells."""
         if self.scan_source is None:
             return None
-        return open_rows(self.rows_path("scan"), np.int32)
+        return np.asarray(open_rows(self.rows_path("scan"), np.int32)[rows])
 
     @property
     def needs_classes(self) -> bool:
@@ -161,11 +161,16 @@ class Job:
         """Points of the map that take part, and are in tiles."""
         return int(self.store.layout.counts.sum())
 
-    def needs_pieces(self, stage: str) -> bool:
-        """Tell whether a stage that gathers chunks from the pieces has any to gather yet."""
-        tiles = range(len(self.store.layout))
-        undone = any(self.work.report(stage, tile) is None for tile in tiles)
-        return undone and not all(has_chunk(self.store, tile) for tile in tiles)
+    def is_spent(self, folder: str) -> bool:
+        """Tell whether what tasks keep in a folder is needed no more: see `LAST_READ_BY`."""
+        last, tiles = LAST_READ_BY.get(folder), range(len(self.store.layout))
+        return last is not None and all(self.work.report(last, tile) for tile in tiles)
+
+    def remove_spent(self, folder: str) -> None:
+        """Remove what is needed no more; a run that goes on does not miss it."""
+        if self.is_spent(folder):
+            for path in (self.root / folder).glob(f"[!.]*{ARRAYS}"):
+                path.unlink()
 
     def rows_path(self, name: str) -> Path:
         """Return the file of one value a row: `label`, `cluster`, `density`, `class` or `scan`."""

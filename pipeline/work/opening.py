@@ -4,7 +4,7 @@ What an earlier run left is looked through first. Files may have been damaged me
 emptied, removed, or changed by a bit. Each marker knows what its task wrote; where that is not
 there as it was, the marker is removed, and the task is done again. As tasks are pure functions,
 what other tasks made of its files stays valid. What the rest of the run does not need is not looked
-at: pieces and chunks, once all points are further on.
+at: pieces, once all points are in chunks.
 """
 
 import hashlib
@@ -40,7 +40,6 @@ def open_job(
     configuration: Configuration,
     fresh: bool,
     observer: StageObserver,
-    stage: str,
 ) -> Job:
     """Go on with the work of an earlier run of the same map and configuration, or begin anew.
 
@@ -59,8 +58,6 @@ def open_job(
         Begin anew in any case.
     observer : StageObserver
         Told when work of another map or configuration is given up, or is damaged.
-    stage : str
-        That will gather the chunks of tiles: `ground` or `chunk`.
     """
     work = work.parent.resolve() / work.name  # workers may have another current folder
     job = Job(work, job_key(digest, configuration), tuple(paths), state, configuration)
@@ -75,7 +72,7 @@ def open_job(
         remove_work(work)
         work.mkdir()
     job.save()
-    _Verification(job, observer, stage).all()
+    _Verification(job, observer).all()
     if done := [f"{stage} {count}" for stage, count, _ in stages_begun(work) if count]:
         logger.info("going on with an earlier run; tasks done: %s", ", ".join(done))
     return job
@@ -105,24 +102,21 @@ class _Verification:
         Saved, and not begun or gone on with yet.
     observer : StageObserver
         Told of damage.
-    stage : str
-        That gathers the chunks of tiles: `ground` or `chunk`.
     """
 
-    def __init__(self, job: Job, observer: StageObserver, stage: str) -> None:
+    def __init__(self, job: Job, observer: StageObserver) -> None:
         self._job = job
         self._work = job.work
         self._observer = observer
-        self._stage = stage
-        self._chunks: dict[Path, Written] = {}
         self._damaged: set[str] = set()
+        self._spent: dict[str, bool] = {}
 
     def all(self) -> None:
         """Look through all that the rest of the run needs."""
         steps = [self._work.step_path(step) for step in (TIMING, PLANNING, FITTING, CREATING)]
         self._check([path for path in steps if path.exists()])
-        for stage in ("ground", "density", "evidence", "label", "write"):
-            self._check(self._markers(stage), lambda each: not self._is_chunk(each))
+        for stage in ("write", "label", "evidence", "density", "height", "ground", "columns"):
+            self._check(self._markers(stage), self._matters)
         cut_again = not self._check_chunks()
         decoded = self._job.decoded
         if decoded is None or decoded.has_records or cut_again:
@@ -145,27 +139,21 @@ class _Verification:
                 remove(root / name)
             return False
         self._check(self._markers("chunk"))
-        layout, store = self._job.store.layout, self._job.store
-        if all(self._work.report(self._stage, tile) for tile in range(len(layout))):
-            return True
-        for path in (store.folder / "chunks").glob("*"):
-            chunk = self._chunks.get(path)
-            if chunk is None or not chunk.is_intact():
-                remove(path)
-        if not self._job.needs_pieces(self._stage):
+        if self._job.is_spent("cut"):
             return True
         self._check(self._markers("cut"))
-        done = [self._work.report("cut", part) for part in range(len(self._job.cut_ranges))]
-        whole = {store.piece_path(part) for part, report in enumerate(done) if report}
-        for path in set((store.folder / "pieces").glob("*")) - whole:
-            remove(path)
-        return all(done)
+        return all(self._work.report("cut", part) for part in range(len(self._job.cut_ranges)))
+
+    def _matters(self, written: Written) -> bool:
+        """Tell whether a file is needed; asked when the markers of those that read it are known."""
+        folder = written.path.parent.name
+        if folder not in self._spent:
+            planned = self._work.has_done(PLANNING)
+            self._spent[folder] = planned and self._job.is_spent(folder)
+        return not self._spent[folder]
 
     def _markers(self, stage: str) -> list[Path]:
         return list((self._work.root / stage).glob("[!.]*.done"))
-
-    def _is_chunk(self, written: Written) -> bool:
-        return written.path.parent == self._work.root / CHUNKS_FOLDER / "chunks"
 
     def _check(
         self, markers: Sequence[Path], matters: Callable[[Written], bool] = lambda each: True
@@ -185,6 +173,5 @@ class _Verification:
         marker = self._work.marker(path)
         if marker is None:
             return [path]
-        self._chunks |= {each.path: each for each in marker.written if self._is_chunk(each)}
         written = filter(matters, marker.written)
         return [each.path for each in written if not each.is_intact()]

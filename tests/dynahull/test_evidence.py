@@ -25,6 +25,7 @@ from dynahull.evidence.summaries import (
     REACH,
     SCORED,
     ScoredPoints,
+    TimedVoxels,
     around,
     summarise_ground,
     summarise_odds,
@@ -32,7 +33,7 @@ from dynahull.evidence.summaries import (
 )
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence
-from dynahull.evidence.visits import SPANS, marks_of, scan_counts
+from dynahull.evidence.visits import marks_of, scan_counts
 from dynahull.kernels import hull_densities
 
 K = 12
@@ -78,8 +79,8 @@ def test_marks_of_parts_are_united_to_those_of_the_whole(scan, cut):
     cells = np.zeros((60, 3), np.int32)
     cells[:, 0] = np.arange(60) % 3
     values = np.column_stack([np.ones(60, np.int64), marks_of(scan)])
-    whole = Voxels.of(cells, values, len(SPANS))
-    parts = [Voxels.of(cells[own], values[own], len(SPANS)) for own in (slice(cut, 60), slice(cut))]
+    whole = TimedVoxels.of(cells, values)
+    parts = [TimedVoxels.of(cells[own], values[own]) for own in (slice(cut, 60), slice(cut))]
     assert as_dictionary(Voxels.merged(parts)) == as_dictionary(whole)
     coarser, _ = whole.coarser()
     together = np.bitwise_or.reduce(values[:, 1:], axis=0).tolist()

@@ -12,14 +12,23 @@ from scipy import ndimage
 
 from dynahull.ground import columns as columns_module
 from dynahull.ground import lattice as lattice_module
+from dynahull.ground.candidates import outlines
 from dynahull.ground.columns import Columns, sort_columns
-from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets
-from dynahull.ground.levels import Levels, find_levels
-from dynahull.ground.methods import ground_mask
+from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets, lattice_of_cells
+from dynahull.ground.levels import Levels, find_levels, levels_of
+from dynahull.ground.methods import (
+    ground_mask,
+    ground_summary,
+    height_above_floors,
+    height_above_ground,
+    height_summary,
+)
 from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import GroundParameters, SlopeExpert, SlopeParameters
-from dynahull.ground.reach import ground_radius
+from dynahull.ground.reach import ground_radius, points_around
+from dynahull.ground.slope import GroundSummary
 from dynahull.ground.surface import HEIGHT, NOISE, SLOPE_X, SLOPE_Y, fit_surface
+from dynahull.summary import Summary
 
 
 def building_of(seed, **options):
@@ -76,15 +85,19 @@ def test_columns_hold_every_point_from_the_lowest_up(seed, count, size, decimals
         patch.setattr(columns_module, "_SMALLEST_RANGE", 10)
         patch.setattr(lattice_module, "_SMALLEST_RANGE", 10)
         lattice = build_lattice(points, 0.5, 1.0, threads)
-        columns = sort_columns(points, lattice, threads)
+        columns = sort_columns(points, 0.5, threads)
     blocks, local = lattice.blocks[lattice.slots // BLOCK**2], lattice.slots % BLOCK**2
     cells = blocks * BLOCK + np.column_stack([local // BLOCK, local % BLOCK])
     assert np.array_equal(cells, np.floor(points[:, :2] / 0.5))
     assert np.array_equal(np.sort(columns.rows), np.arange(count))
     assert np.array_equal(columns.heights, points[columns.rows, 2])
     assert np.array_equal(columns.rows, np.lexsort([np.arange(count), points[:, 2], lattice.slots]))
-    slots = np.repeat(np.arange(lattice.slot_count), np.diff(columns.starts))
-    assert np.array_equal(slots, lattice.slots[columns.rows])
+    assert (np.diff(columns.starts) > 0).all()
+    of_points = np.repeat(columns.cells, np.diff(columns.starts), axis=0)
+    assert np.array_equal(of_points, cells[columns.rows])
+    again = lattice_of_cells(columns.cells, 0.5, 1.0)
+    assert np.array_equal(again.slots, np.unique(lattice.slots))
+    assert np.array_equal(again.neighbours, lattice.neighbours)
     known = {tuple(block): BLOCK**2 * number for number, block in enumerate(lattice.blocks)}
     nowhere = BLOCK**2 * len(known)
     assert nowhere not in lattice.slots
@@ -128,7 +141,14 @@ def test_the_opening_is_that_of_a_grey_image(seed, window):
 
 
 def one_column(heights):
-    return Columns(heights, np.arange(len(heights)), np.array([0, len(heights)]))
+    starts = np.array([0, len(heights)])
+    return Columns(heights, np.arange(len(heights)), starts, np.array([[3, -4]]))
+
+
+def levels_found(*arguments):
+    found = find_levels(*arguments)
+    assert (found.cells == [3, -4]).all()
+    return levels_of(found, lattice_of_cells(found.cells, 0.25, 1.0))
 
 
 def test_levels_have_free_height_above_them_and_the_lowest_is_always_one():
@@ -136,7 +156,7 @@ def test_levels_have_free_height_above_them_and_the_lowest_is_always_one():
     shelf = [0.9, 0.91]
     upper = np.linspace(3.0, 3.05, 10)
     ghost = [3.9]
-    levels = find_levels(one_column(np.concatenate([floor, shelf, upper, ghost])), 0.1, 1.8, 0.2)
+    levels = levels_found(one_column(np.concatenate([floor, shelf, upper, ghost])), 0.1, 1.8, 0.2)
     # two points of a shelf hide no floor of twenty, one of a ghost none of ten
     assert levels.heights == pytest.approx([0.04, 0.905, 3.025, 3.9])
     assert levels.bare.tolist() == [True, False, False, False]
@@ -144,25 +164,78 @@ def test_levels_have_free_height_above_them_and_the_lowest_is_always_one():
     assert levels.spreads[-1] == -1.0
 
     crowded = np.sort(np.concatenate([floor, np.linspace(0.2, 1.5, 60)]))
-    levels = find_levels(one_column(crowded), 0.1, 1.8, 0.2)
+    levels = levels_found(one_column(crowded), 0.1, 1.8, 0.2)
     assert levels.heights[0] == pytest.approx(0.04)
     assert not levels.bare[0]
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 80),
+    st.sampled_from([0.1, 1.0, 1.8]),
+    st.sampled_from([0.0, 1e6, -1e12]),
+    st.integers(1, 3),
+)
+def test_outlines_answer_what_all_heights_of_a_column_do(seed, count, clearance, far, decimals):
+    random = np.random.default_rng(seed)
+    heights = np.sort(np.round(random.uniform(0, 6, count), decimals)) + far
+    outline = outlines(one_column(heights), clearance).values[:, 0]
+    assert outline[0] == heights[0] and outline[-1] == heights[-1]
+    assert np.isin(outline, heights).all()
+    length = min(0.6, clearance / 2)
+    for low in np.concatenate([heights, random.uniform(-1, 7, 50) + far]):
+        for high in (low + length, low + 2 * length):
+            held = ((heights >= low) & (heights <= high)).any()
+            assert held == ((outline >= low) & (outline <= high)).any()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.25, 0.3, 1.0]),
+    st.sampled_from([None, 1.1]),
+    st.floats(0.5, 6),
+)
+def test_parts_decide_by_their_points_and_summaries_what_the_whole_does(
+    seed, cell, clearance, border
+):
+    random = np.random.default_rng(seed)
+    points = random.uniform(0, 7, (4_000, 3)) * [1, 1, 0.5]
+    points[:2_000, 2] = random.normal(0, 0.02, 2_000)
+    slope = SlopeParameters(clearance=clearance, expert=SlopeExpert(cell=cell))
+    parameters = GroundParameters(slope=slope)
+    ground = ground_mask(points, parameters)
+    height = height_above_ground(points, ground, parameters)
+    assert ground.any()
+    wide = points_around(parameters, heights=True, border=0.25) or 0.25
+    border = np.floor(border / 0.25) * 0.25  # as those of tiles are
+    parts = [
+        (points[:, 0] < border, points[:, 0] < border + wide),
+        (points[:, 0] >= border, points[:, 0] >= border - wide),
+    ]
+    told = [ground_summary(points[all_], core[all_], parameters) for core, all_ in parts]
+    around = GroundSummary(*(Summary.joined(each) for each in zip(*told, strict=True)))
+    floors = []
+    for core, all_ in parts:
+        found = ground_mask(points[all_], parameters, around=around)
+        assert np.array_equal(found[core[all_]], ground[core])
+        chosen = all_ & ground
+        floors.append(height_summary(points[chosen], core[chosen], parameters))
+    again = height_above_floors(points, Summary.joined(floors), parameters)
+    assert np.array_equal(again, height, equal_nan=True)
 
 
 def test_planes_follow_a_slope_and_know_its_noise():
     random = np.random.default_rng(0)
     points = random.uniform(-4, 4, (60_000, 3))
     points[:, 2] = 5 + 0.2 * points[:, 0] - 0.1 * points[:, 1] + random.normal(0, 0.01, 60_000)
-    lattice = build_lattice(points, 0.25, 1.0)
-    columns = sort_columns(points, lattice)
-    levels = find_levels(columns, 0.2, np.inf, 1.0)
-    filled = np.diff(columns.starts) > 0
-    surface = fit_surface(levels, lattice, filled, 1.0, np.inf, 0.2)
-    occupied = np.flatnonzero(filled)
-    blocks = lattice.blocks[occupied // BLOCK**2]
-    local = occupied % BLOCK**2
-    x = (blocks[:, 0] * BLOCK + local // BLOCK + 0.5) * 0.25
-    y = (blocks[:, 1] * BLOCK + local % BLOCK + 0.5) * 0.25
+    columns = sort_columns(points, 0.25)
+    found = find_levels(columns, 0.2, np.inf, 1.0)
+    lattice = lattice_of_cells(columns.cells, 0.25, 1.0)
+    levels = levels_of(found, lattice._replace(slots=lattice.slots))
+    surface = fit_surface(levels, lattice, lattice.slots, 1.0, np.inf, 0.2)
+    x, y = (columns.cells.T + 0.5) * 0.25
     inner = (abs(x) < 3) & (abs(y) < 3)
     planes = surface.planes[inner]
     np.testing.assert_allclose(planes[:, HEIGHT], (5 + 0.2 * x - 0.1 * y)[inner], atol=0.02)

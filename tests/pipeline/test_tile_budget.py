@@ -7,10 +7,13 @@ import pytest
 
 from pipeline.configuration.run import load_configuration
 from pipeline.plan import resources
+from pipeline.plan.plan import halo_width, points_held
 from pipeline.plan.resources import is_one_tile, tile_budget
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
+from tiling.layout import quadtree
+from tiling.occupancy import Occupancy
 
 GIB = 1 << 30
 
@@ -109,3 +112,19 @@ def test_a_run_goes_on_in_its_tiles_whatever_memory_there_is_by_then(tmp_path, m
 
 def observer():
     return StageObserver(LogDisplay())
+
+
+@pytest.mark.parametrize("points_a_column", [1, 30, 4_000])
+@pytest.mark.parametrize("max_points", [2_000, 40_000, 10**9])
+def test_halos_hold_few_points_however_dense_the_map_is(points_a_column, max_points):
+    columns = np.stack(np.mgrid[:40, :30], axis=-1).reshape(-1, 2)
+    occupancy = Occupancy(0.25, columns, np.full(len(columns), points_a_column))
+    layout = quadtree(occupancy, max_points)
+    halo = halo_width(layout, occupancy, 75)
+    held = points_held(layout, occupancy, halo).sum()
+    assert held <= 1.15 * layout.counts.sum()
+    # No wider than neighbours need, and no narrower, if there is no other reason.
+    reach = min(np.sqrt(75 * 0.25**2 / (np.pi * points_a_column)), 2.0)
+    assert halo < reach + 1 / 16
+    wider = points_held(layout, occupancy, halo + 1 / 16).sum()
+    assert halo >= reach or wider > 1.15 * layout.counts.sum()

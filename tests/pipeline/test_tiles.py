@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynahull import Label, clean
-from dynahull.ground.reach import decision_radius
+from dynahull.ground.reach import ground_radius, height_radius
 from pipeline.configuration.run import load_configuration
 from pipeline.places import DecisionSums
 from pipeline.progress import LogDisplay, StageObserver
@@ -117,13 +117,14 @@ KINDS = {
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(20, 420),
     max_points=st.sampled_from([7, 60, 150, 400]),
-    halo=st.sampled_from(["0", "0.3", "3", "auto"]),
+    halo=st.sampled_from(["0", "0.05", "0.3", "3", "auto"]),
     ground=st.sampled_from(["none", "slope", "slope and height"]),
+    cell=st.sampled_from([0.25, 0.3, 0.5, 1.0]),
     decision=st.sampled_from(["rank", "stepped", "auto"]),
     decoded=st.booleans(),
 )
 def test_labels_clusters_and_densities_are_those_of_the_whole_map(
-    kind, seed, count, max_points, halo, ground, decision, decoded
+    kind, seed, count, max_points, halo, ground, cell, decision, decoded
 ):
     random = np.random.default_rng(seed)
     points = KINDS[kind](random.permutation(room(count, random)), random)
@@ -133,6 +134,7 @@ def test_labels_clusters_and_densities_are_those_of_the_whole_map(
         f"max_height={'1.2' if 'height' in ground else 'null'}",
         "removal.decision=auto" if decision == "auto" else f"removal.threshold={decision}",
         "removal.confidence=0.2",
+        f"ground.slope.expert.cell={cell}",
         *SMALL_GROUND,
     ]
     with tempfile.TemporaryDirectory() as folder:
@@ -165,13 +167,23 @@ def room_file(tmp_path):
 def test_a_halo_narrower_than_the_ground_looks_is_made_up_for(room_file, tmp_path):
     wanted = ["max_height=1.2", *SMALL_GROUND]
     configuration = load_configuration(None, wanted)
-    assert decision_radius(configuration.ground, configuration.needs_heights) > 1
+    assert ground_radius(configuration.ground) + height_radius(configuration.ground) > 1
     result = in_memory([room_file], *wanted)
     assert (result.labels == Label.GROUND).sum() > 100  # what a border could hide is there
     for halo in ("0", "0.5"):
         _, table, chunks = tiled([room_file], tmp_path / halo, 120, f"tiling.halo={halo}", *wanted)
         assert len(chunks) > 5
         assert_same(table, result)
+
+
+@pytest.mark.parametrize("decision", ["paper", "auto"])
+def test_hundreds_of_tiles_of_a_room_are_the_room(decision, room_file, tmp_path):
+    wanted = ["max_height=1.2", f"removal.decision={decision}", *SMALL_GROUND]
+    _, table, chunks = tiled([room_file], tmp_path / "out", 4, "tiling.halo=0.05", *wanted)
+    assert len(chunks) > 200
+    assert_same(table, in_memory([room_file], *wanted))
+    for spent in ("cut", "columns", "spread"):  # what is needed no more is gone
+        assert not list((tmp_path / "out/.dynahull-work" / spent).glob("*.arrays"))
 
 
 @pytest.mark.parametrize("halo", ["0", "0.3"])

@@ -67,6 +67,9 @@ def text_map(folder):
 
 MOMENTS = {
     "cut": (text_map, "cut", 1, ["ground.method=none"]),
+    "chunk": (npy_map, "chunk", 2, ["ground.method=none"]),
+    "columns": (npy_map, "columns", 2, ["ground.method=slope"]),
+    "height": (npy_map, "height", 2, ["ground.method=slope", "max_height=1.2"]),
     "ground": (laz_map, "ground", 2, ["ground.method=las_class"]),
     "ground, LAS chunks": (las_map, "ground", 2, ["ground.method=none", "tiling.format=las"]),
     "narrow halo": (npy_map, "ground", 3, ["tiling.halo=0.1", "ground.method=slope"]),
@@ -228,7 +231,7 @@ def test_damage_under_a_running_run_is_not_blamed_on_the_map(
     monkeypatch.setattr("logging.basicConfig", lambda **_: None)
     monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
     for stage, name in [
-        ("ground", "tiles/pieces/000000.piece"),
+        ("chunk", "cut/000000.arrays"),
         ("density", "ground/000001.arrays"),
         ("density", "clusters.arrays"),
         ("label", "cuts.json"),

@@ -4,9 +4,9 @@ import json
 import pickle
 import subprocess
 import sys
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from unittest import mock
 
 import laspy
 import numpy as np
@@ -15,14 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiling import pieces
 from tiling.chunk_store import ChunkStore
-from tiling.chunks import assemble, read_chunk, read_cores
+from tiling.chunks import read_chunk, write_chunk
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
 from tiling.grid import Grid
 from tiling.layout import quadtree
-from tiling.pieces import write_pieces
+from tiling.pieces import gathered, sort_by_tile
 from tiling.survey import survey
 
 GRID = Grid((2.0**-6,) * 3, (0.0,) * 3)
@@ -70,14 +69,25 @@ print(held() - before)
 """
 
 
-def fill(store, collection, cuts=(), most=10**6, backwards=False):
+def gathered_from(pieces, store, tile):
+    runs = [
+        points[first : first + count]
+        for points, runs in pieces
+        for of_tile, first, count in runs.tolist()
+        if of_tile == tile
+    ]
+    return gathered(store, tile, runs)
+
+
+def fill(store, collection, cuts=(), backwards=False):
     ends = [0, *sorted(cuts), collection.point_count]
-    parts = list(enumerate(range(start, stop) for start, stop in pairwise(ends)))
+    parts = [range(start, stop) for start, stop in pairwise(ends)]
     tiles = list(range(len(store.layout)))
-    for part, rows in reversed(parts) if backwards else parts:
-        write_pieces(store, collection, rows, part, most)
+    pieces = [sort_by_tile(store, collection, rows) for rows in parts]
     for tile in reversed(tiles) if backwards else tiles:
-        given, kept = assemble(store, tile), read_chunk(store, tile)
+        given = gathered_from(pieces, store, tile)
+        write_chunk(store, tile, given)
+        kept = read_chunk(store, tile)
         for name in ("xyz", "rows", "core"):
             assert getattr(given, name).tobytes() == getattr(kept, name).tobytes()
 
@@ -119,7 +129,7 @@ def test_chunks_hold_core_and_halo_whatever_the_parts(
     seen = np.zeros(size, int)
     for tile in range(len(store.layout)):
         chunk = read_chunk(store, tile)
-        low, high = store.region(tile)
+        low, high = store.layout.low[tile] - halo, store.layout.high[tile] + halo
         inside = finite & (xyz[:, :2] >= low).all(axis=1) & (xyz[:, :2] < high).all(axis=1)
         np.testing.assert_array_equal(chunk.rows, np.flatnonzero(inside))
         np.testing.assert_array_equal(chunk.xyz, xyz[inside])
@@ -130,7 +140,8 @@ def test_chunks_hold_core_and_halo_whatever_the_parts(
 
     again = store_of(folder / "again", collection, max_points, halo, kind)
     random = np.random.default_rng(seed)
-    fill(again, collection, random.integers(0, size + 1, len(cuts)), most, backwards=True)
+    with mock.patch("tiling.pieces.POINTS_AT_A_TIME", most):
+        fill(again, collection, random.integers(0, size + 1, len(cuts)), backwards=True)
     assert chunk_bytes(again) == chunk_bytes(store)
 
 
@@ -147,7 +158,8 @@ def filled(tmp_path):
 def test_a_store_opens_again_and_travels_to_other_processes(filled):
     _, _, store = filled
     for other in (ChunkStore.open(store.folder), pickle.loads(pickle.dumps(store))):
-        assert (other.key, other.halo, other.format) == (store.key, store.halo, store.format)
+        assert (other.halo, other.format) == (store.halo, store.format)
+        assert other.layout.to_json() == store.layout.to_json()
         assert (other.point_count, other.grid) == (store.point_count, store.grid)
         assert read_chunk(other, 0).rows.tolist() == read_chunk(store, 0).rows.tolist()
     with pytest.raises(ChunkError, match=r"store\.json: expected a folder of chunks"):
@@ -160,74 +172,11 @@ def test_las_chunks_need_a_grid(filled):
         ChunkStore(store.folder, store.layout, 0.5, 400, "las")
 
 
-def test_a_piece_written_again_changes_nothing(filled):
+def test_a_chunk_that_lacks_points_is_refused_in_one_line(filled):
     _, collection, store = filled
-    before = chunk_bytes(store)
-    piece = store.piece_path(1).read_bytes()
-    write_pieces(store, collection, range(150, 300), 1)
-    assert store.piece_path(1).read_bytes() == piece
-    (store.piece_path(1).parent / f".{store.piece_path(1).name}.0123.part").write_bytes(b"half")
-    assemble(store, 2)
-    assert chunk_bytes(store) == before
-
-
-def cut_piece(store, collection):
-    path = store.piece_path(1)
-    path.write_bytes(path.read_bytes()[:-1])
-
-
-def shorten_points_of_piece(store, collection):
-    path = store.piece_path(1)
-    path.write_bytes(path.read_bytes()[32:])
-
-
-def damage_index(store, collection):
-    path = store.piece_path(1)
-    content = bytearray(path.read_bytes())
-    content[-70] ^= 1
-    path.write_bytes(content)
-
-
-def other_cut(store, collection):
-    layout = quadtree(survey(collection).occupancy, 30)
-    other = ChunkStore(store.folder, layout, 0.5, collection.point_count)
-    write_pieces(other, collection, range(150, 300), 1)
-
-
-def other_map(store, collection):
-    xyz = points(2, 400, 5.0, 0.0)
-    other = collection_of(store.folder, xyz)
-    write_pieces(store, other, range(150, 300), 1)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "place", "expected"),
-    [
-        (cut_piece, "000001.piece", "a whole piece"),
-        (shorten_points_of_piece, "000001.piece", "a piece of "),
-        (damage_index, "000001.piece", "the index that was written"),
-        (lambda store, _: store.piece_path(0).unlink(), "000001.piece", "begins with row 0"),
-        (lambda store, _: store.piece_path(1).unlink(), "000002.piece", "begins with row 150"),
-        (lambda store, _: store.piece_path(2).unlink(), "pieces", "pieces of 400 points"),
-        (
-            lambda store, map_: write_pieces(store, map_, range(200, 350), 7),
-            "000007.piece",
-            "begins with row 300",
-        ),
-        (other_cut, "000001.piece", "a piece of this map, cut like this"),
-        (other_map, "pieces", "points in the core of tile"),
-    ],
-)
-def test_pieces_that_are_not_whole_are_refused_in_one_line(filled, spoil, place, expected):
-    _, collection, store = filled
-    spoil(store, collection)
-    pieces._read_runs.cache_clear()  # as in a process that has not read them yet
-    with pytest.raises(ChunkError) as raised:
-        for tile in range(len(store.layout)):
-            assemble(store, tile)
-    assert str(raised.value).split(":")[0].endswith(place)
-    assert expected in str(raised.value)
-    assert "\n" not in str(raised.value)
+    parts = [sort_by_tile(store, collection, rows) for rows in (range(150), range(300, 400))]
+    with pytest.raises(ChunkError, match=r"expected \d+ points in the core of tile 2, found \d+"):
+        gathered_from(parts, store, 2)
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -250,22 +199,6 @@ def test_chunks_that_are_missing_or_damaged_are_refused_in_one_line(filled, tmp_
         read_chunk(store, 3)
 
 
-@pytest.mark.parametrize("is_gathered", [True, False])
-def test_cores_of_some_tiles_within_a_box(filled, monkeypatch, is_gathered):
-    xyz, _, store = filled
-    if not is_gathered:  # into chunks: they are still in the pieces
-        monkeypatch.setattr("tiling.chunks.has_chunk", lambda store, tile: tile % 2)
-    low, high = np.array([-3.0, -2.0]), np.array([4.0, 1.5])
-    tiles = store.layout.near(low, high)
-    assert 1 < len(tiles) < len(store.layout)
-    found = read_cores(store, reversed(tiles.tolist()), low, high)
-    inside = ((xyz[:, :2] >= low) & (xyz[:, :2] <= high)).all(axis=1)
-    np.testing.assert_array_equal(found.rows, np.flatnonzero(inside))
-    np.testing.assert_array_equal(found.xyz, xyz[inside])
-    assert found.core.all()
-    assert len(read_cores(store, [], low, high)) == 0
-
-
 def test_parquet_chunks_are_tables_for_other_tools(filled):
     _, _, store = filled
     table = pq.read_table(store.chunk_path(1))
@@ -279,18 +212,6 @@ def test_parquet_chunks_are_tables_for_other_tools(filled):
         "high": place.high.tolist(),
         "halo": 0.5,
     }
-
-
-def test_compression_changes_the_bytes_of_chunks_alone(filled, tmp_path):
-    _, collection, store = filled
-    other = replace(store, folder=tmp_path / "fast", compression="lz4")
-    other.save()
-    assert ChunkStore.open(other.folder).compression == "lz4"
-    fill(other, collection)
-    for each, codec in ((store, "ZSTD"), (other, "LZ4")):
-        columns = pq.read_metadata(each.chunk_path(1)).row_group(0)
-        assert {columns.column(at).compression for at in range(5)} == {codec}
-    assert pq.read_table(other.chunk_path(1)).equals(pq.read_table(store.chunk_path(1)))
 
 
 @pytest.mark.parametrize("kind", ["las", "laz"])
@@ -314,9 +235,9 @@ def test_las_chunks_of_points_off_the_grid_are_refused(tmp_path):
     xyz = np.random.default_rng(0).normal(size=(50, 3))
     collection = collection_of(tmp_path, xyz)
     store = store_of(tmp_path / "store", collection, 100, 0.5, "las")
-    write_pieces(store, collection, range(50), 0)
+    chunk = gathered_from([sort_by_tile(store, collection, range(50))], store, 0)
     with pytest.raises(GridError, match=r"000000\.las: expected coordinates that LAS gives back"):
-        assemble(store, 0)
+        write_chunk(store, 0, chunk)
     assert list(store.chunk_path(0).parent.iterdir()) == []
 
 

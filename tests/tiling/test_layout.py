@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.formats import PointBatch
-from tiling.layout import MOST_HELD, NO_TILE, Layout, quadtree
+from tiling.layout import NO_TILE, Layout, quadtree
 from tiling.morton import morton_before, morton_order
 from tiling.occupancy import columns_of, count_within
 from tiling.survey import survey_batches
@@ -15,8 +15,8 @@ def occupancy_of(xyz):
     return survey_batches([PointBatch(0, xyz, None)]).occupancy
 
 
-def cut(xyz, max_points, halo=0.0):
-    return quadtree(occupancy_of(xyz), max_points, halo)
+def cut(xyz, max_points):
+    return quadtree(occupancy_of(xyz), max_points)
 
 
 @settings(deadline=None)
@@ -27,16 +27,15 @@ def cut(xyz, max_points, halo=0.0):
     st.sampled_from([0.3, 20.0, 1e6, 1e12]),
     st.sampled_from([0.0, -3e5, 6e6]),
     st.booleans(),
-    st.sampled_from([0.0, 1.0, 1e5]),
 )
 def test_every_point_lies_in_the_core_of_its_one_tile(
-    seed, size, max_points, extent, shift, gridded, halo
+    seed, size, max_points, extent, shift, gridded
 ):
     random = np.random.default_rng(seed)
     xyz = random.normal(size=(size, 3)) * extent + shift
     if gridded:
         xyz = np.round(xyz * 4) / 4  # on the borders of the columns
-    layout = cut(xyz, max_points, halo)
+    layout = cut(xyz, max_points)
     tiles = layout.tile_of(xyz)
     flat = xyz[:, None, :2]
     inside = ((flat >= layout.low) & (flat < layout.high)).all(axis=2)
@@ -72,46 +71,6 @@ def test_a_half_of_a_square_is_a_tile_where_it_is_small_enough():
     np.testing.assert_array_equal(sides * layout.cell, [[16.0, 32.0]] * 8)
 
 
-def held_by(layout, xyz, halo):
-    """Points of each tile with its halo, counted one by one."""
-    flat = xyz[:, None, :2]
-    inside = (flat >= layout.low - halo) & (flat < layout.high + halo)
-    return inside.all(axis=2).sum(axis=0)
-
-
-@settings(deadline=None)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([200, 1_000]),
-    st.sampled_from([0.5, 1.0, 2.0]),
-    st.sampled_from([0.0, -3e5]),
-)
-def test_no_tile_wider_than_its_halo_holds_too_many_with_it(seed, max_points, halo, shift):
-    random = np.random.default_rng(seed)
-    crowd = random.normal(size=(2_000, 3)) * [3, 3, 1] + 20
-    xyz = np.concatenate([random.uniform(0, 40, (2_000, 3)), crowd])
-    xyz = np.floor(xyz * 4) / 4 + 0.125 + shift  # in the middle of the columns
-    layout = cut(xyz, max_points, halo)
-    most = MOST_HELD * max_points
-    wide = (layout.ends - layout.begins).max(axis=1) * layout.cell > 2 * halo
-    assert (held_by(layout, xyz, halo)[wide] <= most).all()
-    # And no tile is cut that need not be.
-    assert len(cut(xyz, len(xyz), halo)) == 1
-
-
-def test_what_a_halo_holds_makes_tiles_smaller():
-    random = np.random.default_rng(0)
-    field, crowd = random.uniform(0, 128, (4_000, 3)), random.uniform(60, 76, (8_000, 3))
-    xyz = np.floor(np.concatenate([field, crowd]) * 4) / 4 + 0.125
-    assert held_by(cut(xyz, 2_000), xyz, 3.0).max() > 2_000 * MOST_HELD
-    assert held_by(cut(xyz, 2_000, 3.0), xyz, 3.0).max() <= 2_000 * MOST_HELD
-
-
-def test_a_halo_as_wide_as_the_tiles_does_not_make_more_of_them():
-    xyz = np.random.default_rng(0).uniform(0, 64, (20_000, 3))
-    assert len(cut(xyz, 1_400, 64.0)) == len(cut(xyz, 1_400)) == 16
-
-
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.sampled_from([0.7, 30.0, 1e12]))
 def test_points_in_boxes_are_counted_by_column(seed, size, extent):
@@ -145,8 +104,8 @@ def test_tiles_near_a_box():
     np.testing.assert_array_equal(layout.low[layout.near(low, high)], [[16.0, 16.0]])
     assert len(layout.near(np.full(2, -np.inf), np.full(2, np.inf))) == 16
     assert len(layout.near(np.array([31.0, 31]), np.array([33.0, 33]))) == 4
-    assert len(layout.within(low, high, 3.5)) == 1
-    assert len(layout.within(low, high, 4.0)) == 9
+    assert len(layout.near(low - 3.5, high + 3.5)) == 1
+    assert len(layout.near(low - 4.0, high + 4.0)) == 9
 
 
 def test_neighbours_in_order_are_neighbours_in_place():
