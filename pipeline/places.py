@@ -198,7 +198,7 @@ def _groups(voxels: Voxels, groups: NDArray[np.intp]) -> Integers:
     """Return a row for each group of voxels: sums, lowest and highest cell."""
     count = int(groups.max(initial=-1)) + 1
     rows = np.zeros((count, _WIDTH), np.int64)
-    rows[:, :_LOW] = added(voxels.sums, groups.astype(np.int32), count)
+    rows[:, :_LOW] = added(voxels.sums, groups.astype(np.int32), count, 0)
     rows[:, _LOW:_HIGH], rows[:, _HIGH:] = np.iinfo(np.int64).max, np.iinfo(np.int64).min
     np.minimum.at(rows[:, _LOW:_HIGH], groups, voxels.cells)
     np.maximum.at(rows[:, _HIGH:], groups, voxels.cells)

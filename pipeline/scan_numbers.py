@@ -33,7 +33,7 @@ _TIME_NAMES = frozenset(
 )
 """In lower case and without underscores. A scan number is asked before a time."""
 
-_LEAST_SCANS = 20
+_LEAST_SCANS = 8
 _MOST_SCANS = 1 << 22
 _LARGEST_SCAN = 1_000_000
 """Points: what is larger is a flight line, or a station of a scanner on a tripod."""

@@ -6,7 +6,7 @@ the voxels of a map are those of its parts, added up, to the last bit.
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
