@@ -34,7 +34,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from tiling.ledger import NotedFile
 
@@ -293,7 +293,7 @@ class Calls:
         self._fault = fault
         self._true: list[tuple[Any, str, Any]] = []
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Self:
         for owner, name in (
             (os, "fsync"),
             (Path, "replace"),
@@ -308,6 +308,7 @@ class Calls:
         if self._fault.size is not None:
             hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
             resource.setrlimit(resource.RLIMIT_FSIZE, (self._fault.size, hard))
+        return self
 
     def __exit__(self, *_: object) -> None:
         for owner, name, true in self._true:

@@ -118,8 +118,9 @@ def attack(path: Path, times: int, every: int, seed: int) -> None:
     content = path.read_bytes()
     chance = random.Random(f"{path.name} {seed}")
     done: Counter[str] = Counter()
-    slowest, begun = 0.0, time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
+        _run(path, Path(folder) / "out")  # compiles what is not compiled yet
+        slowest, begun = 0.0, time.monotonic()
         for number in range(times):
             target = Path(folder) / path.name
             changed = mutated(content, chance)

@@ -421,8 +421,8 @@ HARMLESS: dict[str, tuple[Callable[[Path], None], str]] = {
     "one VLR too many": (lambda p: patched(p, 100, bytes([2 + p.match("*.laz")])), "counts . VLRs"),
     "VLR count": (lambda p: patched(p, 100, b"\xff\xff\xff\xff"), "counts 4294967295 VLRs"),
     "EVLR count": (lambda p: patched(p, 243, b"\xff\xff\xff\xff"), "counts 4294967295 EVLRs"),
-    "EVLR offset": (without_evlrs, "counts 1 EVLRs, and 0 are there"),
-    "EVLR cut off": (lambda p: cut(p, p.stat().st_size - 7), "counts 1 EVLRs, and 0 are there"),
+    "EVLR offset": (without_evlrs, "counts 1 EVLRs, but the file has 0"),
+    "EVLR cut off": (lambda p: cut(p, p.stat().st_size - 7), "counts 1 EVLRs, but the file has 0"),
     "header of 227 bytes": (lambda p: shorten_header(p, 227), "has 227 bytes, and that of LAS 1.4"),
     "header of 374 bytes": (lambda p: shorten_header(p, 374), "has 374 bytes, and that of LAS 1.4"),
 }
