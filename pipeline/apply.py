@@ -97,7 +97,11 @@ def decide_again(
     cores = available_cores(configuration.execution.workers)
     collection = open_collection(paths, configuration.input, cores)
     check_mode(collection.readers, configuration)
-    names = OutputNames.of(collection.readers, configuration.output.mode)
+    names = OutputNames.of(
+        collection.readers,
+        configuration.output.mode,
+        thinned=configuration.output.voxel is not None,
+    )
     results = names.all_files(True, configuration.output.report == "html")
     with output_folder(output or folder, results, paths) as staging, unchanged(paths):
         observer.stage("hashing", collection.point_count)

@@ -12,7 +12,7 @@ RUN_FILE = "run.json"
 CONFIGURATION_FILE = "config.yaml"
 LABELS_FILE = "labels.parquet"
 REPORT_FILE = "report.html"
-KINDS = ("static", "dynamic", "labelled")
+KINDS = ("static", "dynamic", "labelled", "thinned")
 STAGING = ".dynahull-partial"
 HIDDEN = (STAGING, ".dynahull-work", ".dynahull-work-removed", ".dynahull-cluster")
 """Folders within the output folder that are the product's own, and are removed with all in them."""

@@ -17,6 +17,7 @@ from pipeline.in_tiles import clean_in_tiles
 from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
+from pipeline.outputs.thinning import write_thinned
 from pipeline.outputs.writing import CleanedMap, write_labels
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
@@ -92,7 +93,8 @@ def run(
         observer.warn(note)
     check_mode(collection.readers, configuration)
     outputs = collection.readers[:1] if configuration.output.merge else collection.readers
-    names = OutputNames.of(outputs, configuration.output.mode)
+    thinned = configuration.output.voxel is not None
+    names = OutputNames.of(outputs, configuration.output.mode, thinned=thinned)
     wants_page = configuration.output.report == "html"
     results = names.all_files(bool(configuration.output.labels), wants_page)
     with (
@@ -131,7 +133,11 @@ def write_account(
     staging: Path,
     observer: StageObserver,
 ) -> RunReport:
-    """Write all that is said of a cleaned map beside it: labels, configuration, page, figures."""
+    """Write what comes of a cleaned map beside it: thinned map, labels, page, figures."""
+    if configuration.output.voxel is not None:
+        places = [staging / name for name in names.thinned]
+        voxel = configuration.output.voxel
+        write_thinned(collection, cleaned.labels, voxel, places, staging, observer)
     if configuration.output.labels:
         write_labels(cleaned, staging / LABELS_FILE)
     observer.finish()

@@ -146,6 +146,11 @@ class OutputParameters(BaseModel):
         description="Write labels.parquet: label, cluster, density, score and reason of every "
         "point, from which `apply` decides again. `auto`: of maps of up to 20 million points.",
     )
+    voxel: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        None,
+        description="Edge of voxels, metres: `thinned` has of each the static point nearest to its "
+        "middle, with all fields.",
+    )
     classes: ClassParameters = ClassParameters()
 
     @property

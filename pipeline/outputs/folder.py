@@ -43,18 +43,26 @@ class OutputNames:
         In the order of the input files; none where the outputs are labelled.
     labelled : tuple of Path
         In the order of the input files; none where the outputs are not labelled.
+    thinned : tuple of Path
+        In the order of the input files; none where nobody asked for them.
     """
 
     static: tuple[Path, ...] = ()
     dynamic: tuple[Path, ...] = ()
     labelled: tuple[Path, ...] = ()
+    thinned: tuple[Path, ...] = ()
 
     @classmethod
     def of(
-        cls, readers: Sequence[MapReader], mode: Literal["split", "label"] = "split"
+        cls,
+        readers: Sequence[MapReader],
+        mode: Literal["split", "label"] = "split",
+        *,
+        thinned: bool = False,
     ) -> "OutputNames":
         """Choose names: `static.<ext>` for one file, `static/<its own name>` for several."""
-        kinds = ("static", "dynamic") if mode == "split" else ("labelled",)
+        kinds: tuple[str, ...] = ("static", "dynamic") if mode == "split" else ("labelled",)
+        kinds += ("thinned",) if thinned else ()
         if len(readers) == 1:
             suffix = readers[0].description.suffix
             return cls(**{kind: (Path(f"{kind}{suffix}"),) for kind in kinds})
@@ -79,7 +87,7 @@ class OutputNames:
         more = [Path(LABELS_FILE)] if labels else []
         more += [Path(REPORT_FILE)] if page else []
         maps = [name for names in self.by_kind.values() for name in names]
-        return (*maps, *more, Path(CONFIGURATION_FILE), Path(RUN_FILE))
+        return (*maps, *self.thinned, *more, Path(CONFIGURATION_FILE), Path(RUN_FILE))
 
 
 def default_folder(paths: Sequence[Path]) -> Path:

@@ -229,6 +229,8 @@ class RunReport(BaseModel):
         folder = Path(self.output)
         names = [name for file in self.files for name in file.outputs]
         written = [folder / each for each in dict.fromkeys(Path(name).parts[0] for name in names)]
+        if self.configuration["output"]["voxel"]:
+            written += [folder / name for name in self.outputs if name.startswith("thinned")][:1]
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
         if REPORT_FILE in self.outputs:

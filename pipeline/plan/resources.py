@@ -87,6 +87,10 @@ def tile_budget(collection: MapCollection, configuration: Configuration, workers
     return max(_SMALLEST_TILE, min(fitting, _LARGEST_TILE, max(_USUAL_TILE, shared_out)))
 
 
+_VOXEL_BYTES = 41
+"""A point, of temporary files, while the map is thinned."""
+
+
 def output_size(collection: MapCollection, configuration: Configuration) -> int:
     """Return the bytes of the outputs of a run, about: the map again, and more."""
     output = configuration.output
@@ -98,6 +102,9 @@ def output_size(collection: MapCollection, configuration: Configuration) -> int:
         each += _TABLE_BYTES + score
     page = _PAGE_BYTES if output.report == "html" else 0
     again = sum(path.stat().st_size for path in collection.paths)
+    if output.voxel is not None:
+        again *= 2
+        each += _VOXEL_BYTES
     return again + each * collection.point_count + page
 
 

@@ -152,14 +152,17 @@ def test_the_version_is_the_package_s():
     assert call("--version").stdout.strip() == version("dynahull-pipeline")
 
 
-@pytest.mark.parametrize("wanted", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("wanted", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_stopped_in_the_middle_leaves_nothing(wanted, tmp_path):
     random = np.random.default_rng(0)
     np.save(tmp_path / "big.npy", random.normal(size=(300_000, 3)))
     slow = ["--set", "ground.method=none", "--set", "density.device=reference"]
     before = signal.signal(wanted, signal.SIG_DFL)  # under `nohup` it is ignored, as it should be
     with subprocess.Popen(
-        [*COMMAND, "run", "big.npy", *slow], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [*COMMAND, "run", "big.npy", "--fresh", *slow],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         signal.signal(wanted, before)
         for line in process.stderr:
@@ -169,6 +172,7 @@ def test_stopped_in_the_middle_leaves_nothing(wanted, tmp_path):
         rest = process.stderr.read()
     assert process.returncode == 130
     assert "error: interrupted" in rest
+    assert f"to go on: dynahull-pipeline run big.npy {' '.join(slow)}\n" in rest
     assert [path.name for path in tmp_path.iterdir()] == ["big.npy"]
 
 

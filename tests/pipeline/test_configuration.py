@@ -104,7 +104,7 @@ density:     {device: cpu}
 removal:     {min_percent: 5, max_percent: 20, threshold: rank}
 tiling:      {max_points: auto, halo: auto, format: parquet}
 execution:   {cluster: local, scheduler: null, workers: auto, memory: auto}
-output:      {mode: split, labels: false, keep_work: false}
+output:      {mode: split, labels: auto, keep_work: false}
 """
 
 

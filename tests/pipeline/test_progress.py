@@ -88,3 +88,13 @@ def test_the_bar_survives_stages_of_any_size(capsys):
         observer.finish()
     display.close()
     assert "density" in capsys.readouterr().err
+
+
+def test_the_bar_of_a_stage_that_told_nothing_is_full_in_the_end():
+    display = TerminalDisplay()
+    observer = StageObserver(display)
+    for total in (0, 10):
+        observer.stage("rescale", total)
+        observer.finish()
+    display.close()
+    assert [task.percentage for task in display._progress.tasks] == [100, 100]

@@ -198,10 +198,11 @@ class TestTile:
 
     def test_a_plan_counts_what_is_added_to_the_points(self, map_file, call):
         plain, labelled, table = (
-            figures(
-                call("plan", map_file, wanted=[*SMALL, f"output.{added}", "output.report=none"])[1]
+            figures(call("plan", map_file, wanted=[*SMALL, "output.labels=false", *each])[1])
+            for each in (
+                [f"output.{added}", "output.report=none"]
+                for added in ("mode=split", "mode=label", "labels=true")
             )
-            for added in ("mode=split", "mode=label", "labels=true")
         )
         assert plain["outputs"] == f"about {map_file.stat().st_size / 1024:.1f} KiB"
         more = map_file.stat().st_size + 10 * 1001

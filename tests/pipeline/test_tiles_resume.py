@@ -1,5 +1,6 @@
 """A run that was killed, or that failed, goes on: nothing is done twice, and never mixed up."""
 
+import logging
 import os
 import pickle
 import random
@@ -22,7 +23,7 @@ from pipeline.status import run_status
 from pipeline.tiles import stages
 from pipeline.work import opening
 from pipeline.work.files import read_sealed, write_sealed
-from pipeline.work.folder import WorkFolder
+from pipeline.work.folder import STAGES, WorkFolder
 from pipeline.work.job import CREATING
 from tiling.errors import MapFormatError, TilingError
 from tiling.ledger import noting
@@ -172,8 +173,9 @@ def test_killed_again_and_again_the_results_have_the_same_bytes(
 
 
 def test_only_what_was_not_done_is_done_when_the_run_goes_on(
-    map_file, interrupted, expected, done_tasks
+    map_file, interrupted, expected, done_tasks, caplog
 ):
+    caplog.set_level(logging.INFO, "dynahull")
     tiles = len(list((interrupted / WORK).glob("tiles/chunks/*.parquet")))
     assert tiles > 6
     before = markers(interrupted)
@@ -181,6 +183,8 @@ def test_only_what_was_not_done_is_done_when_the_run_goes_on(
     after = {(stage, tile) for stage in ("label",) for tile in range(tiles)}
     assert sorted(done_tasks) == sorted([("density", 4), *after, ("write", 0)])
     assert before.items() <= markers(interrupted).items()
+    assert "going on with an earlier run; tasks done: survey 1, cut 1, ground" in caplog.text
+    assert list(stages.TASKS) == list(STAGES)
     assert report.warnings == []
     assert results(interrupted) == expected
 
