@@ -4,7 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from dynahull import Label, clean
@@ -22,7 +25,7 @@ from pipeline.work.folder import WORK_FOLDER
 from tiling.collection import MapCollection, find_map_files
 from tiling.errors import MapFormatError, NoMapError
 from tiling.formats import open_map
-from tiling.key_frames import read_poses
+from tiling.key_frames import ScanPoses, _of_quaternions, read_poses
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
@@ -156,9 +159,9 @@ def points_of(collection, size=50):
 
 
 def cleaned(folder, output, *wanted, most=10**6):
-    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
-    settings += ["output.report=none", f"tiling.max_points={most}", *wanted]
-    configuration = load_configuration("auto", settings)
+    chosen = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    chosen += ["output.report=none", f"tiling.max_points={most}", *wanted]
+    configuration = load_configuration("auto", chosen)
     return run([folder], output, configuration, StageObserver(LogDisplay()))
 
 
@@ -292,8 +295,8 @@ def test_scans_whose_poses_are_nowhere_are_refused(tmp_path):
 
 def test_a_preview_of_scans_keeps_their_places(tmp_path):
     folder = hdl(tmp_path / "in")
-    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
-    configuration = load_configuration("auto", settings)
+    wanted = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    configuration = load_configuration("auto", wanted)
     report = preview(
         [str(folder)], tmp_path / "out", configuration, StageObserver(LogDisplay()), points=1000,
         window=WHOLE,
@@ -370,3 +373,18 @@ def test_what_cannot_be_merged_is_refused_before_any_work(tmp_path):
     path.write_bytes(path.read_bytes().replace(b" intensity", b" reflected"))
     with pytest.raises(MapFormatError, match=r"000005\.pcd: expected format and fields of"):
         cleaned(folder, tmp_path / "out", "output.merge=true")
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4), st.integers(1, 40))
+@settings(deadline=None)
+def test_points_are_turned_as_scipy_turns_them_however_many_come_at_a_time(wxyz, count):
+    assume(np.linalg.norm(wxyz) > 1e-3)
+    w, x, y, z = wxyz
+    turn = Rotation.from_quat([x, y, z, w])
+    (pose,) = _of_quaternions(np.array([[1.0, 2.0, 3.0]]), np.array([wxyz]))
+    poses = ScanPoses(np.zeros(1, np.int32), pose[None])
+    points = np.random.default_rng(count).normal(size=(count, 3)) * 50
+    moved = poses.to_map(0, points)
+    np.testing.assert_allclose(moved, turn.apply(points) + [1, 2, 3], atol=1e-9)
+    one_by_one = [poses.to_map(0, points[n : n + 1]) for n in range(count)]
+    np.testing.assert_array_equal(moved, np.concatenate(one_by_one))
