@@ -363,10 +363,29 @@ def test_a_merged_map_can_be_labelled(tmp_path):
     assert found.density is not None
 
 
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("order", "CF")
+def test_arrays_are_merged(tmp_path, named, order):
+    for number, cloud in enumerate(CLOUDS):
+        array = np.column_stack([cloud, np.full(len(cloud), number)]).astype(">f8", order=order)
+        if named:
+            array = array.copy().view([(name, ">f8") for name in ("z", "x", "y", "scan")])[:, 0]
+        (tmp_path / "in").mkdir(exist_ok=True)
+        np.save(tmp_path / "in" / f"{number}.npy", array)
+    np.savetxt(tmp_path / "poses.txt", POSES.reshape(FRAMES, 12), "%.17g")
+    given = [f"input.poses={tmp_path}/poses.txt", "output.merge=true"]
+    expected = points_of(
+        MapCollection(find_map_files([tmp_path / "in"]), 1, tmp_path / "poses.txt")
+    )
+    cleaned(tmp_path / "in", tmp_path / "out", *given, "removal.confidence=0.999")
+    found = read_result(tmp_path / "out").xyz
+    np.testing.assert_array_equal(np.sort(found, axis=0), np.sort(expected, axis=0))
+
+
 def test_what_cannot_be_merged_is_refused_before_any_work(tmp_path):
-    for name in ("a.npy", "b.npy"):
-        np.save(tmp_path / name, WORLD)
-    with pytest.raises(MapFormatError, match="expected PCD in binary, or KITTI's, to be merged"):
+    for name in ("a.npz", "b.npz"):
+        np.savez(tmp_path / name, WORLD)
+    with pytest.raises(MapFormatError, match="npy or KITTI's, to be merged"):
         cleaned(tmp_path, tmp_path / "out", "output.merge=true")
     folder = benchmark(tmp_path / "in")
     path = folder / "pcd" / "000005.pcd"
