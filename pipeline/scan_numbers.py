@@ -19,19 +19,22 @@ from pipeline.errors import ConfigurationError
 from pipeline.row_order import rows_of_a_scan
 from tiling.collection import MapCollection
 from tiling.errors import MapFormatError
+from tiling.foreign_text import printable
 from tiling.formats.points import PointBatch
 
 AUTO, OFF = "auto", "off"
 
 _SCAN_NAMES = frozenset(
-    {"scan", "scanid", "scanindex", "scannumber", "scanno", "sweep", "sweepid", "pointsourceid"}
+    {"scan", "scanid", "scanindex", "scannumber", "scanno", "sweep", "sweepid"}
     | {"frame", "frameid", "frameindex", "framenumber", "frameno", "keyframe", "keyframeid"}
 )
 _TIME_NAMES = frozenset(
     {"gpstime", "time", "timestamp", "timestamps", "stamp", "t", "offsettime", "timeoffset"}
     | {"pointtime", "timens", "timeus", "timesec"}
 )
-"""In lower case and without underscores. A scan number is asked before a time."""
+_SOURCE_NAMES = frozenset({"pointsourceid"})
+"""In lower case and without underscores; in this order. LAS means a flight line by the last, and
+scans are numbered there only where no times tell more."""
 
 _LEAST_SCANS = 8
 _MOST_SCANS = 1 << 22
@@ -85,7 +88,7 @@ class ScanSource(BaseModel):
 
     def __str__(self) -> str:
         if self.kind == "field":
-            return f"{self.name}, {self.scans:,} scans"
+            return f"{printable(self.name)}, {self.scans:,} scans"
         if self.kind == "files":
             return f"key frames, {self.scans:,} scans"
         return f"order of the rows, about {self.scans:,} scans"
@@ -196,7 +199,7 @@ def candidates(collection: MapCollection) -> list[str]:
     shared = set.intersection(*of_files)
     return [
         name
-        for names in (_SCAN_NAMES, _TIME_NAMES)
+        for names in (_SCAN_NAMES, _TIME_NAMES, _SOURCE_NAMES)
         for name in sorted(shared)
         if _plain(name) in names
     ]
@@ -314,7 +317,7 @@ def _tenth_of(name: str, values: NDArray[Any], given: bool) -> float | None:
     """
     if values.dtype.kind == "M":
         return 1e8
-    is_whole, is_scan = values.dtype.kind in "iu", _plain(name) in _SCAN_NAMES
+    is_whole, is_scan = values.dtype.kind in "iu", _plain(name) in _SCAN_NAMES | _SOURCE_NAMES
     sizes = np.abs(values[np.isfinite(values) & (values != 0)].astype(np.float64))
     if is_scan and not given:
         return 0.0 if is_whole else None

@@ -4,7 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from dynahull import Label, clean
@@ -22,7 +25,7 @@ from pipeline.work.folder import WORK_FOLDER
 from tiling.collection import MapCollection, find_map_files
 from tiling.errors import MapFormatError, NoMapError
 from tiling.formats import open_map
-from tiling.key_frames import read_poses
+from tiling.key_frames import ScanPoses, _of_quaternions, read_poses
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
@@ -156,9 +159,9 @@ def points_of(collection, size=50):
 
 
 def cleaned(folder, output, *wanted, most=10**6):
-    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
-    settings += ["output.report=none", f"tiling.max_points={most}", *wanted]
-    configuration = load_configuration("auto", settings)
+    chosen = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    chosen += ["output.report=none", f"tiling.max_points={most}", *wanted]
+    configuration = load_configuration("auto", chosen)
     return run([folder], output, configuration, StageObserver(LogDisplay()))
 
 
@@ -292,8 +295,8 @@ def test_scans_whose_poses_are_nowhere_are_refused(tmp_path):
 
 def test_a_preview_of_scans_keeps_their_places(tmp_path):
     folder = hdl(tmp_path / "in")
-    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
-    configuration = load_configuration("auto", settings)
+    wanted = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    configuration = load_configuration("auto", wanted)
     report = preview(
         [str(folder)], tmp_path / "out", configuration, StageObserver(LogDisplay()), points=1000,
         window=WHOLE,
@@ -360,13 +363,47 @@ def test_a_merged_map_can_be_labelled(tmp_path):
     assert found.density is not None
 
 
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("order", "CF")
+def test_arrays_are_merged(tmp_path, named, order):
+    for number, cloud in enumerate(CLOUDS):
+        array = np.column_stack([cloud, np.full(len(cloud), number)]).astype(">f8", order=order)
+        if named:
+            array = array.copy().view([(name, ">f8") for name in ("z", "x", "y", "scan")])[:, 0]
+        (tmp_path / "in").mkdir(exist_ok=True)
+        np.save(tmp_path / "in" / f"{number}.npy", array)
+    np.savetxt(tmp_path / "poses.txt", POSES.reshape(FRAMES, 12), "%.17g")
+    given = [f"input.poses={tmp_path}/poses.txt", "output.merge=true"]
+    expected = points_of(
+        MapCollection(find_map_files([tmp_path / "in"]), 1, tmp_path / "poses.txt")
+    )
+    cleaned(tmp_path / "in", tmp_path / "out", *given, "removal.confidence=0.999")
+    found = read_result(tmp_path / "out").xyz
+    np.testing.assert_array_equal(np.sort(found, axis=0), np.sort(expected, axis=0))
+
+
 def test_what_cannot_be_merged_is_refused_before_any_work(tmp_path):
-    for name in ("a.npy", "b.npy"):
-        np.save(tmp_path / name, WORLD)
-    with pytest.raises(MapFormatError, match="expected PCD in binary, or KITTI's, to be merged"):
+    for name in ("a.npz", "b.npz"):
+        np.savez(tmp_path / name, WORLD)
+    with pytest.raises(MapFormatError, match="npy or KITTI's, to be merged"):
         cleaned(tmp_path, tmp_path / "out", "output.merge=true")
     folder = benchmark(tmp_path / "in")
     path = folder / "pcd" / "000005.pcd"
     path.write_bytes(path.read_bytes().replace(b" intensity", b" reflected"))
     with pytest.raises(MapFormatError, match=r"000005\.pcd: expected format and fields of"):
         cleaned(folder, tmp_path / "out", "output.merge=true")
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4), st.integers(1, 40))
+@settings(deadline=None)
+def test_points_are_turned_as_scipy_turns_them_however_many_come_at_a_time(wxyz, count):
+    assume(np.linalg.norm(wxyz) > 1e-3)
+    w, x, y, z = wxyz
+    turn = Rotation.from_quat([x, y, z, w])
+    (pose,) = _of_quaternions(np.array([[1.0, 2.0, 3.0]]), np.array([wxyz]))
+    poses = ScanPoses(np.zeros(1, np.int32), pose[None])
+    points = np.random.default_rng(count).normal(size=(count, 3)) * 50
+    moved = poses.to_map(0, points)
+    np.testing.assert_allclose(moved, turn.apply(points) + [1, 2, 3], atol=1e-9)
+    one_by_one = [poses.to_map(0, points[n : n + 1]) for n in range(count)]
+    np.testing.assert_array_equal(moved, np.concatenate(one_by_one))

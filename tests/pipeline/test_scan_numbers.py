@@ -8,6 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from dynahull import clean
 from pipeline.configuration.run import load_configuration
@@ -103,6 +106,8 @@ def test_what_does_not_tell_for_sure_is_not_used(tmp_path, name, values):
 def test_scan_numbers_are_asked_before_times_and_useless_ones_passed_over(tmp_path):
     path = write(tmp_path / "a.npy", gps_time=TIME, scan=SCAN, t=TIME)
     assert found(path)[0].name == "scan"
+    path = write(tmp_path / "c.npy", point_source_id=SCAN.astype("u2"), gps_time=TIME)
+    assert found(path)[0].name == "gps_time"  # lines of flight are no scans
     path = write(tmp_path / "b.npy", gps_time=TIME, scan=SCAN * 0, frame=SCAN % 3)
     assert found(path)[0].name == "gps_time"
 
@@ -172,21 +177,21 @@ def test_the_method_is_given_the_numbers_in_memory_and_in_tiles(
 ):
     path = tmp_path / f"map.{suffix}"
     make(path)
-    given = []
+    seen = []
     monkeypatch.setattr(
         "pipeline.in_memory.clean",
-        lambda *a, scan=None, **k: given.append(scan) or clean(*a, scan=scan, **k),
+        lambda *a, scan=None, **k: seen.append(scan) or clean(*a, scan=scan, **k),
     )
     monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 900)
     label_tile = TASKS["label"]
     monkeypatch.setitem(
         TASKS,
         "label",
-        lambda job, tile: given.append(np.array(job.scans)) or label_tile(job, tile),
+        lambda job, tile: seen.append(np.array(job.scans)) or label_tile(job, tile),
     )
     for most in (COUNT, 1000):
-        settings = ["execution.cluster=none", f"tiling.max_points={most}", "ground.method=none"]
-        configuration = load_configuration("auto", [*settings, "neighbours.k=8"])
+        wanted = ["execution.cluster=none", f"tiling.max_points={most}", "ground.method=none"]
+        configuration = load_configuration("auto", [*wanted, "neighbours.k=8"])
         observer = StageObserver(LogDisplay())
         report = run([path], tmp_path / f"out{most}", configuration, observer)
         assert report.time.endswith(", 25 scans")
@@ -195,16 +200,16 @@ def test_the_method_is_given_the_numbers_in_memory_and_in_tiles(
         assert f"time: {report.time}" in report.summary()
         page = (tmp_path / f"out{most}" / "report.html").read_text(encoding="utf-8")
         assert report.time in page
-    assert len(given) > 2
-    for numbers in given:
+    assert len(seen) > 2
+    for numbers in seen:
         np.testing.assert_array_equal(numbers, SCAN)
 
 
 def test_nothing_is_looked_for_where_the_evidence_is_not_weighed(tmp_path, monkeypatch):
     path = write(tmp_path / "a.npy", scan=SCAN)
     monkeypatch.setattr("pipeline.in_memory.find_scans", None)
-    settings = ["ground.method=none", "neighbours.k=8", "output.report=none"]
-    configuration = load_configuration(None, settings)
+    wanted = ["ground.method=none", "neighbours.k=8", "output.report=none"]
+    configuration = load_configuration(None, wanted)
     assert run([path], tmp_path / "o", configuration, StageObserver(LogDisplay())).time is None
 
 
@@ -218,10 +223,10 @@ def flip(path):
 @pytest.mark.parametrize("damage", [flip, lambda path: os.truncate(path, 9), os.unlink])
 def test_numbers_that_were_damaged_are_made_again(tmp_path, monkeypatch, name, damage):
     path = write(tmp_path / "map.npy", scan=SCAN)
-    settings = ["execution.cluster=none", "tiling.max_points=1000", "ground.method=none"]
-    configuration = load_configuration("auto", [*settings, "neighbours.k=8", "output.report=none"])
+    wanted = ["execution.cluster=none", "tiling.max_points=1000", "ground.method=none"]
+    configuration = load_configuration("auto", [*wanted, "neighbours.k=8", "output.report=none"])
     monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 900)
-    weigh_tile, given = TASKS["evidence"], []
+    weigh_tile, seen = TASKS["evidence"], []
 
     def killed(job, tile):
         if tile == 1:
@@ -235,9 +240,28 @@ def test_numbers_that_were_damaged_are_made_again(tmp_path, monkeypatch, name, d
     with pytest.raises(KeyboardInterrupt):
         cleaned(killed)
     damage(tmp_path / "out" / WORK_FOLDER / name)
-    report = cleaned(lambda job, tile: given.append(np.array(job.scans)) or weigh_tile(job, tile))
+    report = cleaned(lambda job, tile: seen.append(np.array(job.scans)) or weigh_tile(job, tile))
     assert any("not as it was written" in each for each in report.warnings) or name == "times.done"
     assert report.time == "scan, 25 scans"
-    for numbers in given:
+    for numbers in seen:
         np.testing.assert_array_equal(numbers, SCAN)
-    assert given
+    assert seen
+
+
+@given(
+    times=arrays(np.float64, 400, elements=st.floats(1e5, 2e9)),
+    unit=st.sampled_from([1, 10**3, 10**6, 10**9]),
+)
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_numbers_are_tenths_of_a_second_in_order(tmp_path, times, unit):
+    times = np.sort(1.6e9 + times / 1e3)
+    values = times if unit == 1 else np.floor(times * 1e3).astype("i8") * (unit // 1000)
+    tenths = np.floor(times * 10) if unit == 1 else np.floor(times * 1e3).astype("i8") // 100
+    _, numbers = found(
+        write(tmp_path / "a.npy", timestamp=np.repeat(values, COUNT // 400 + 1)[:COUNT])
+    )
+    if numbers is None:
+        assert len(np.unique(tenths)) < 20 or len(np.unique(tenths)) * 2 > COUNT
+        return
+    expected = np.repeat(tenths, COUNT // 400 + 1)[:COUNT]
+    np.testing.assert_array_equal(numbers, expected - expected.min())

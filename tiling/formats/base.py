@@ -201,7 +201,7 @@ class MapReader(ABC):
             When maps of this format have more to agree on than their fields.
         """
         said = self.description
-        raise MapFormatError(said.path, "PCD in binary, or KITTI's, to be merged", said.format)
+        raise MapFormatError(said.path, "PCD in binary, npy or KITTI's, to be merged", said.format)
 
     def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
         """Return the records of points with other coordinates, (n, 3); see `merged`."""

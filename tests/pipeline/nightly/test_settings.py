@@ -87,3 +87,21 @@ def test_a_misspelt_key_is_named_and_not_the_one_that_is_missing_for_it(tmp_path
 def test_the_time_of_day_needs_no_quotes(tmp_path, written, read):
     settings = load_nightly_settings(write(tmp_path), [f"at={written}"])
     assert settings.at == read
+
+
+def test_a_folder_of_several_maps_of_one_place_is_a_problem_and_no_map(tmp_path):
+    for name in ("a/1.npy", "lio/GlobalMap.npy", "lio/SurfMap.npy"):
+        (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "in" / name).write_bytes(b"x")
+    for each, names in (("folder", ["a"]), ("file", [])):
+        text = f"inputs: [{{maps: in, each: {each}}}]\noutput: out\n"
+        settings = load_nightly_settings(write(tmp_path, text))
+        found, problems = find_maps(settings, [settings.configuration_of(settings.inputs[0])])
+        assert [each.path.name for each in found] == names
+        told = [problem.message for problem in problems]
+        assert len(told) == len(names)
+        assert all("several maps of one place (GlobalMap.npy, SurfMap.npy" in one for one in told)
+    text = "inputs: [{maps: in/lio}]\noutput: out\n"
+    settings = load_nightly_settings(write(tmp_path, text))
+    found, problems = find_maps(settings, [settings.configuration_of(settings.inputs[0])])
+    assert (len(found), problems) == (2, [])  # each is a map of its own

@@ -109,6 +109,13 @@ class ArrayHeader:
         return columns >= 3 and not lies_on_its_side
 
     @property
+    def has_float_coordinates(self) -> bool:
+        """Whether coordinates can be any numbers."""
+        names = coordinate_names(self.dtype.names or ())
+        kinds = [self.dtype[name] for name in names] if names else [self.dtype]
+        return all(kind.kind == "f" for kind in kinds)
+
+    @property
     def is_column(self) -> bool:
         """Whether it is an (N,) array of numbers."""
         return len(self.shape) == 1 and self.dtype.kind in _COORDINATE_KINDS

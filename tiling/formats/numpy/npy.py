@@ -24,7 +24,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch
+from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names
 
 _COLUMNS = ("x", "y", "z")
 
@@ -109,6 +109,21 @@ class NpyReader(MapReader):
             return np.asarray(rows[name])
         names = [field.name for field in self.description.fields]
         return np.asarray(rows.reshape(-1, len(names))[:, names.index(name)])
+
+    def merged(self) -> MapReader:
+        """Return what writes several such arrays into one; see `MapReader.merged`."""
+        return self if self._header.has_float_coordinates else super().merged()
+
+    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
+        """Return rows with other coordinates; see `MapReader.moved`."""
+        records = records.copy()
+        rows = records.view(self._header.dtype)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for axis, name in enumerate(coordinate_names(self._header.dtype.names or ()) or ()):
+                rows[name] = xyz[:, axis]
+            if not self._header.dtype.names:
+                rows.reshape(len(xyz), -1)[:, :3] = xyz
+        return records
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an array like this one; see `MapReader.writer`."""

@@ -6,10 +6,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.numpy.arrays import ArrayHeader
@@ -67,16 +66,6 @@ class RawReader(NpyReader):
             fields=tuple(Field(name, "float32") for name in names),
             notes=() if size else ("The file has no points.",),
         )
-
-    def merged(self) -> "RawReader":
-        """Return what writes several such files into one; see `MapReader.merged`."""
-        return self
-
-    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
-        """Return records with other coordinates; see `MapReader.moved`."""
-        records = records.copy()
-        records.view(self._header.dtype).reshape(len(xyz), -1)[:, :3] = xyz
-        return records
 
     def extended(self, fields: Sequence[Field]) -> NoReturn:
         """Refuse: without a header nobody would find further fields."""
