@@ -45,7 +45,7 @@ def find_map_files(arguments: Sequence[Path | str], as_one: bool = True) -> tupl
         What exists by that very name is never taken for a pattern. A file named outright is
         returned whatever its suffix; in folders and patterns, hidden files and those without a
         suffix of `MAP_SUFFIXES` are passed over, and so are those with one of `OTHERS_TOO` where
-        there are maps with another.
+        there are maps with another, or where each map of a folder is one of its own.
     as_one : bool
         Whether together they are one map: a folder of several maps of one place is refused, and
         the scans of a folder may lie in one within it.
@@ -287,7 +287,9 @@ def _files_of(argument: Path | str, as_one: bool) -> list[Path]:
         place = "a pattern"
     files = [each for each in candidates if each.is_file() and not each.name.startswith(".")]
     maps = [each for each in files if each.suffix.lower() in MAP_SUFFIXES]
-    maps = [each for each in maps if each.suffix.lower() not in OTHERS_TOO] or maps
+    doubtless = [each for each in maps if each.suffix.lower() not in OTHERS_TOO]
+    if doubtless or (place == "a folder" and not as_one):
+        maps = doubtless
     if not maps:
         others = f"{len(files)} other files" if files else "no files"
         raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")

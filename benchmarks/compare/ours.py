@@ -37,17 +37,20 @@ def methods() -> Iterator[Method]:
         if parameters not in seen:
             seen.append(parameters)
             yield _method(f"DynaHull, {name}", parameters)
+            if parameters.removal.weighs_evidence:
+                yield _method(f"DynaHull, {name}, scan numbers", parameters, timed=True)
     for name, settings in _WITHOUT_STEPS.items():
         yield _method(f"DynaHull, {name}", load_configuration(_PAPER, settings).method())
 
 
-def _method(name: str, parameters: MethodParameters) -> Method:
+def _method(name: str, parameters: MethodParameters, *, timed: bool = False) -> Method:
     def load() -> Removal:
         clean(np.random.default_rng(0).normal(size=(1000, 3)), parameters)  # compiles
 
         def remove(scene: Scene) -> NDArray[np.bool_]:
             threads = len(os.sched_getaffinity(0))
-            return ~clean(scene.xyz, parameters, threads=threads).kept
+            scan = scene.scan if timed else None
+            return ~clean(scene.xyz, parameters, scan=scan, threads=threads).kept
 
         return remove
 

@@ -39,6 +39,9 @@ _BOXES_EACH = 5
 """Every so many maps, one is of the scenes of boxes."""
 
 _FEWEST = 3_000
+_APART = (1, 1, 2, 5, 10)
+"""Scans from one of a map to the next, by seed."""
+
 _BATCH = 100_000
 
 
@@ -111,15 +114,13 @@ def _meshes(seed: int) -> _Made:
     parameters = random_parameters(seed)
     points = simulate_meshes(parameters).points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
-    scan = _scan_numbers(seed, points.scan, points.time) if parameters.voxel == 0 else None
+    scan = _scan_numbers(seed, points.scan) if parameters.voxel == 0 else None
     return _Made(points.xyz, truth, scan, str(parameters.kind), str(parameters.sensor))
 
 
-def _scan_numbers(
-    seed: int, scan: NDArray[np.integer[Any]], time: NDArray[np.float64]
-) -> NDArray[np.int32]:
-    """Return the numbers of the scans, or what a map with times would have in their place."""
-    return (scan if seed % 2 else np.floor(time / 0.1)).astype(np.int32)
+def _scan_numbers(seed: int, scan: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
+    """Return numbers of the scans: on end, or as key frames some time apart have."""
+    return scan.astype(np.int32) * _APART[seed % len(_APART)]
 
 
 def _boxes(seed: int, random: np.random.Generator) -> _Made:
@@ -143,7 +144,7 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
         )
     )
     truth = np.where(made.moving, MOVED, STATIC).astype(np.int8)
-    scan = _scan_numbers(seed, made.scan, made.time)
+    scan = _scan_numbers(seed, made.scan)
     return _Made(made.xyz.astype(np.float64), truth, scan, f"boxes_{kind}", "boxes")
 
 
