@@ -301,7 +301,11 @@ class _ParquetWriter(MapWriter):
         if not rows:
             return
         table = pa.concat_tables(self._gathered).unify_dictionaries()
-        self._writer.write_table(table.slice(0, rows), row_group_size=self._group_rows)
+        try:
+            self._writer.write_table(table.slice(0, rows), row_group_size=self._group_rows)
+        except pa.ArrowNotImplementedError as error:  # such as null among lists of one length
+            expected = f"columns that pyarrow {pa.__version__} can write"
+            raise MapFormatError(self.path, expected, str(error)) from error
         rest = table.slice(rows)
         self._gathered = [rest] if rest.num_rows else []
         self._rows, self._bytes = rest.num_rows, rest.nbytes
@@ -356,9 +360,8 @@ def _is_text(kind: pa.DataType) -> bool:
 
 def _type_name(kind: pa.DataType) -> str:
     """Return NumPy's name of a type of numbers, and Arrow's of any other."""
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        return str(np.dtype(kind.to_pandas_dtype()).name)
-    return " ".join(str(kind).split())
+    name = " ".join(str(kind).split())
+    return {"halffloat": "float16", "float": "float32", "double": "float64"}.get(name, name)
 
 
 def _crs(geo: bytes | None) -> str | None:

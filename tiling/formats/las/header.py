@@ -208,7 +208,7 @@ def _note_missing(kind: str, promised: int, found: int) -> tuple[str, ...]:
     if promised == found:
         return ()
     return (
-        f"The header counts {promised} {kind}s, and {found} are there: the outputs have these.",
+        f"The header counts {promised} {kind}s, but the file has {found}, as the outputs will.",
     )
 
 
