@@ -137,7 +137,7 @@ def label_batches(path: Path) -> Iterator[Labels]:
 def _added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
     """Yield the values of a field that a run added, by the name that it got."""
     names = [field.name for field in open_map(path).description.fields]
-    own = next((each for each in reversed(own_names(name)) if each in names), name)
+    own = next((each for each in reversed(own_names(name, path.suffix)) if each in names), name)
     try:
         yield from field_values(path, own)
     except MapFormatError as error:
