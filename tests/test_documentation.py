@@ -129,7 +129,7 @@ def example_maps(tmp_path_factory):
         "property float x\nproperty float y\nproperty float z\nend_header\n"
     )
     (folder / "hall.ply").write_bytes(ply.encode() + points.tobytes())
-    shutil.rmtree(folder / "made")
+    (folder / "made").rename(folder / "simulated")
     if importlib.util.find_spec("rosbags"):
         write_bag(folder / "bag", points)
     return folder

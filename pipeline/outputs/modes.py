@@ -137,9 +137,12 @@ OutputMode = SplitMode | LabelMode
 """How the points of one file of the map go into its outputs: `formats` has one for each."""
 
 
-def own_names(name: str) -> tuple[str, str]:
-    """Return what a field that is added is called, and what where the map has one like it."""
-    return name, _PREFIX + name
+def own_names(name: str, suffix: str) -> tuple[str, str]:
+    """Return what a field that is added is called, and what where the map has one like it.
+
+    In PLY, CloudCompare shows properties at once whose names begin with `scalar_`.
+    """
+    return f"scalar_{name}" if suffix.lower() == ".ply" else name, _PREFIX + name
 
 
 def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
@@ -164,11 +167,12 @@ def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
         wanted.append((ORIGINAL_CLASS, "uint8"))
     fields = []
     for name, dtype in wanted:
-        free = next((each for each in own_names(name) if each not in taken), None)
+        names = own_names(name, reader.description.suffix)
+        free = next((each for each in names if each not in taken), None)
         if free is None:
             raise ConfigurationError(
-                f"{reader.description.path}: output.mode label adds a field {name} or "
-                f"{_PREFIX + name}, and the map has both; choose output.mode split"
+                f"{reader.description.path}: output.mode label adds a field {' or '.join(names)}, "
+                "and the map has both; choose output.mode split"
             )
         fields.append(Field(free, dtype))
     return tuple(fields)

@@ -145,7 +145,7 @@ def added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
         When it has none, or its format does not give them back.
     """
     names = [field.name for field in open_map(path).description.fields]
-    own = next((each for each in reversed(own_names(name)) if each in names), name)
+    own = next((each for each in reversed(own_names(name, path.suffix)) if each in names), name)
     try:
         yield from field_values(path, own)
     except MapFormatError as error:
