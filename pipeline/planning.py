@@ -104,7 +104,9 @@ def tile_map(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
             poses = open_collection(paths, configuration.input).poses
-            digest = content_hash(paths, poses=poses)
+            digest = content_hash(paths)
+            if poses is not None:
+                digest = poses.hashed(digest)
             job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(job) as executor:
                 plan_tiles(

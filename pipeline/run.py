@@ -105,7 +105,9 @@ def run(
             size = output_size(collection, configuration)
             check_space(folder, 0, size, configuration.output.keep_free)
         observer.stage("hashing", collection.point_count)
-        digest = content_hash(paths, poses=collection.poses)
+        digest = content_hash(paths)
+        if collection.poses is not None:
+            digest = collection.poses.hashed(digest)
         observer.advance(collection.point_count)
         observer.finish()
         work = folder / WORK_FOLDER

@@ -78,11 +78,7 @@ def find_map_files(arguments: Sequence[Path | str], as_one: bool = True) -> tupl
     return tuple(found.values())
 
 
-def content_hash(
-    paths: Sequence[Path],
-    advance: Callable[[int], None] | None = None,
-    poses: ScanPoses | None = None,
-) -> str:
+def content_hash(paths: Sequence[Path], advance: Callable[[int], None] | None = None) -> str:
     """Hash the bytes of files, one after the other, in one digest.
 
     Parameters
@@ -91,8 +87,6 @@ def content_hash(
         The files, whose names do not matter but whose order and sizes do.
     advance : callable, optional
         Told of the bytes of each block that was hashed; what it raises ends the hashing.
-    poses : ScanPoses, optional
-        Of the files, which move their points.
 
     Returns
     -------
@@ -109,8 +103,6 @@ def content_hash(
                 digest.update(block)
                 if advance is not None:
                     advance(len(block))
-    if poses is not None:
-        digest.update(poses.to_bytes())
     return digest.hexdigest()
 
 

@@ -7,6 +7,7 @@ in VIEWPOINT (`pcd/`, DynamicMap_Benchmark). What a scan's points are turned by 
 its file lies, so that any of the files may be named alone.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,9 +52,10 @@ class ScanPoses:
     poses: Matrices
     are_applied: bool = False
 
-    def to_bytes(self) -> bytes:
-        """Return what tells these poses from others."""
-        return bytes([self.are_applied]) + self.poses.astype("<f8").tobytes()
+    def hashed(self, digest: str = "") -> str:
+        """Return the hash of the poses and of a digest, in hexadecimal."""
+        told = digest.encode() + bytes([self.are_applied]) + self.poses.astype("<f8").tobytes()
+        return hashlib.sha256(told).hexdigest()
 
     def to_map(self, file: int, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return points of a file, (n, 3), in the map's frame."""

@@ -3,7 +3,6 @@
 It is kept in the work folder, so that a task needs no more than the folder's name and its number.
 """
 
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -192,5 +191,4 @@ def _opened(root: Path, time: int) -> Job:
 
 
 def _hash_of(collection: MapCollection) -> str | None:
-    poses = collection.poses
-    return None if poses is None else hashlib.sha256(poses.to_bytes()).hexdigest()
+    return None if collection.poses is None else collection.poses.hashed()
