@@ -18,6 +18,7 @@ from pipeline.configuration.run import load_configuration
 from pipeline.places import DecisionSums
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.scan_numbers import find_scans
 from tiling.collection import MapCollection
 from tiling.errors import GridError
 
@@ -47,15 +48,19 @@ def tiled(maps, folder, max_points, *wanted):
 
 
 def in_memory(maps, *wanted):
-    """What `dynahull.clean` says of the coordinates that the files hold."""
+    """What `dynahull.clean` says of the coordinates, and scans, that the files hold."""
     collection = MapCollection([Path(path) for path in maps])
-    batches = [batch for _, batch in collection.batches()]
+    numbered = list(collection.batches())
+    batches = [batch for _, batch in numbered]
     xyz = np.concatenate([np.empty((0, 3)), *(batch.xyz for batch in batches)])
-    classes = None
+    classes, scan = None, None
     if collection.has_classification:
         classes = np.concatenate([batch.classification for batch in batches])
-    parameters = load_configuration(None, [*FAST, *wanted]).method()
-    return clean(xyz, parameters, classification=classes)
+    configuration = load_configuration(None, [*FAST, *wanted])
+    source = find_scans(collection, configuration)
+    if source is not None:
+        scan = np.concatenate([source.numbers(collection, *each) for each in numbered])
+    return clean(xyz, configuration.method(), classification=classes, scan=scan)
 
 
 def assert_same(table, result):
@@ -122,9 +127,10 @@ KINDS = {
     cell=st.sampled_from([0.25, 0.3, 0.5, 1.0]),
     decision=st.sampled_from(["rank", "stepped", "auto"]),
     decoded=st.booleans(),
+    timed=st.booleans(),
 )
 def test_labels_clusters_and_densities_are_those_of_the_whole_map(
-    kind, seed, count, max_points, halo, ground, cell, decision, decoded
+    kind, seed, count, max_points, halo, ground, cell, decision, decoded, timed
 ):
     random = np.random.default_rng(seed)
     points = KINDS[kind](random.permutation(room(count, random)), random)
@@ -140,8 +146,12 @@ def test_labels_clusters_and_densities_are_those_of_the_whole_map(
     with tempfile.TemporaryDirectory() as folder:
         # Of a map that must be decoded, coordinates are kept from the survey on.
         name, save = ("map.npz", np.savez_compressed) if decoded else ("map.npy", np.save)
-        save(Path(folder) / name, points)
-        maps = [Path(folder) / name]
+        maps = [Path(folder) / ("map.npz" if timed else name)]
+        if timed:
+            scan = random.integers(0, 40, len(points)).astype(np.uint16)
+            np.savez_compressed(maps[0], points=points, scan=scan)
+        else:
+            save(maps[0], points)
         report, table, chunks = tiled(
             maps, Path(folder) / "out", min(max_points, len(points) // 2),
             f"tiling.halo={halo}", *wanted,
@@ -184,6 +194,24 @@ def test_hundreds_of_tiles_of_a_room_are_the_room(decision, room_file, tmp_path)
     assert_same(table, in_memory([room_file], *wanted))
     for spent in ("cut", "columns", "spread"):  # what is needed no more is gone
         assert not list((tmp_path / "out/.dynahull-work" / spent).glob("*.arrays"))
+
+
+def test_what_the_scans_say_counts_and_is_the_same_over_tiles(tmp_path):
+    random = np.random.default_rng(5)
+    points = room(500, random)
+    scan = random.integers(0, 40, len(points)).astype(np.uint16)
+    scan[-50:] = 17  # what moved was seen at once
+    order = random.permutation(len(points))
+    np.savez(tmp_path / "room.npz", points=points[order], scan=scan[order])
+    wanted = ["removal.decision=auto", *SMALL_GROUND]
+    report, table, _ = tiled([tmp_path / "room.npz"], tmp_path / "a", 60, *wanted)
+    assert report.time == "scan, 40 scans"
+    assert_same(table, in_memory([tmp_path / "room.npz"], *wanted))
+    wanted += ["evidence.time=off"]
+    report, without, _ = tiled([tmp_path / "room.npz"], tmp_path / "b", 60, *wanted)
+    assert report.time == "none"
+    assert_same(without, clean(points[order], load_configuration(None, [*FAST, *wanted]).method()))
+    assert without["score"].to_numpy().tobytes() != table["score"].to_numpy().tobytes()
 
 
 @pytest.mark.parametrize("halo", ["0", "0.3"])
