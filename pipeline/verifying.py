@@ -309,7 +309,8 @@ class _ClusterSums:
             self.counts[number] += len(density)
             self.finite[number] += np.count_nonzero(finite)
             self.gone[number] += np.count_nonzero(dynamic & finite)
-            self._densest[number] = max(self._densest[number], *density[dynamic & finite], -np.inf)
+            gone = density[dynamic & finite]
+            self._densest[number] = gone.max(initial=self._densest[number])
 
     def thresholds(self, again: Callable[[], Iterator[Columns]]) -> list[bool]:
         """Tell for each cluster whether no point stays that is less dense than one that goes.
@@ -325,9 +326,9 @@ class _ClusterSums:
                 most = self._densest[number]
                 right[number] &= not bool(np.any(~dynamic & (density < most)))
                 tied = density == most
-                last_gone[number] = max(last_gone[number], *(rows[tied & dynamic] + row), -1)
-                kept = rows[tied & ~dynamic] + row
-                first_kept[number] = min(first_kept[number], *kept, first_kept[number])
+                gone, kept = rows[tied & dynamic] + row, rows[tied & ~dynamic] + row
+                last_gone[number] = gone.max(initial=last_gone[number])
+                first_kept[number] = kept.min(initial=first_kept[number])
             row += len(columns[LABEL])
         in_order = (last_gone < first_kept).tolist()
         return [one and other for one, other in zip(right, in_order, strict=True)]
