@@ -218,8 +218,10 @@ class RunReport(BaseModel):
         written = [folder / name for file in self.files for name in file.outputs]
         if len(self.files) > 1:
             written = list(dict.fromkeys(path.parent for path in written))
-        if self.configuration["output"]["voxel"]:
-            written += [folder / name for name in self.outputs if name.startswith("thinned")][:1]
+        thinned = [
+            folder / name for name in self.outputs if Path(name).parts[0].startswith("thinned")
+        ]
+        written += thinned if len(thinned) < 2 else [thinned[0].parent]
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
         if REPORT_FILE in self.outputs:
