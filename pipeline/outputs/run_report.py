@@ -176,10 +176,7 @@ class RunReport(BaseModel):
             uncertain_points=None if decision is None else decision.uncertain,
             seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
-            peak_memory_all_bytes=None
-            if is_elsewhere(configuration)
-            else peak_memory()
-            + available_cores(configuration.execution.workers) * peak_of_workers(),
+            peak_memory_all_bytes=_peak_of_all(configuration, observer),
             warnings=list(observer.warnings),
             system=of_map(collection, configuration.input),
             time=None if decision is None else str(source or "none"),
@@ -228,9 +225,8 @@ class RunReport(BaseModel):
             )
         folder = Path(self.output)
         names = [name for file in self.files for name in file.outputs]
+        names += [name for name in self.outputs if Path(name).parts[0].startswith("thinned")]
         written = [folder / each for each in dict.fromkeys(Path(name).parts[0] for name in names)]
-        if self.configuration["output"]["voxel"]:
-            written += [folder / name for name in self.outputs if name.startswith("thinned")][:1]
         if self.configuration["output"]["labels"]:
             written.append(folder / LABELS_FILE)
         if REPORT_FILE in self.outputs:
@@ -278,6 +274,15 @@ def share_of(part: int, whole: int) -> str:
     """Return a share in percent; one that is not nothing does not look like nothing."""
     percent = 100 * part / whole
     return "under 0.1 %" if percent < 0.1 else f"{percent:.1f} %"
+
+
+def _peak_of_all(configuration: Configuration, observer: StageObserver) -> int | None:
+    """Return what this process and its workers held at most; None where they are elsewhere."""
+    if "label" not in observer.seconds or configuration.execution.cluster == "none":
+        return peak_memory()  # no work was shared out
+    if is_elsewhere(configuration):
+        return None
+    return peak_memory() + available_cores(configuration.execution.workers) * peak_of_workers()
 
 
 def _seconds(observer: StageObserver) -> dict[str, float]:

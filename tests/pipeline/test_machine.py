@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from pipeline.plan.machine import peak_memory
+from pipeline.plan.machine import peak_memory, peak_of_workers
 
 MIB = 2**20
 
@@ -62,3 +62,10 @@ def test_what_arrow_keeps_is_given_back(tmp_path):
     before, kept, after = map(int, done.stdout.split())
     assert kept > before + 24 * 1024
     assert after < before + 8 * 1024
+
+
+def test_the_peak_of_a_process_that_was_started_is_known():
+    before = peak_of_workers()
+    program = f"held = bytearray({before} + 80_000_000); held[::4096] = b'x' * len(held[::4096])"
+    subprocess.run([sys.executable, "-c", program], check=True)
+    assert peak_of_workers() > before + 80_000_000

@@ -113,6 +113,7 @@ def test_progress_that_cannot_be_shown_is_warned_of_once(caplog):
 def test_a_bar_that_cannot_be_made_ends_no_command(monkeypatch, caplog):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setattr(progress, "TerminalDisplay", broken)
+    caplog.set_level("INFO")
     with watching() as observer:
         observer.stage("one", 10)
         observer.advance(10)
