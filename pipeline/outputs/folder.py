@@ -83,8 +83,9 @@ class OutputNames:
 
 def default_folder(paths: Sequence[Path]) -> Path:
     """Return `<map>_dynahull`, named after the only file, or after the folder of several."""
-    first = located(paths[0])
-    name = _stem(first) if len(paths) == 1 else first.parent.name
+    first, *others = [located(path) for path in paths]
+    together = Path(os.path.commonpath([each.parent for each in (first, *others)])).name
+    name = (together or first.parent.name) if others else _stem(first)
     return Path(f"{name}_dynahull")
 
 

@@ -166,6 +166,7 @@ def test_names_that_only_their_suffix_made_different_stay_different(tmp_path):
         (["x/big_map.pcd"], "big_map_dynahull"),
         (["x/lone.copc.laz"], "lone_dynahull"),
         (["x/campus/1.pcd", "x/campus/2.pcd"], "campus_dynahull"),
+        (["x/dump/000000/cloud.pcd", "x/dump/000001/cloud.pcd"], "dump_dynahull"),
     ],
 )
 def test_the_default_folder_is_named_after_the_map(paths, expected):
