@@ -103,10 +103,8 @@ def tile_map(
                 raise OutputError(
                     f"{output}: expected an empty folder for the chunks; choose another -o"
                 )
-            poses = open_collection(paths, configuration.input).poses
-            digest = content_hash(paths)
-            if poses is not None:
-                digest = poses.hashed(digest)
+            collection = open_collection(paths, configuration.input)
+            digest = collection.with_poses(content_hash(paths))
             job = open_job(work, paths, state, digest, configuration, False, observer)
             with workers_for(job) as executor:
                 plan_tiles(

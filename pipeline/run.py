@@ -106,8 +106,6 @@ def run(
             check_space(folder, 0, size, configuration.output.keep_free)
         observer.stage("hashing", collection.point_count)
         digest = content_hash(paths)
-        if collection.poses is not None:
-            digest = collection.poses.hashed(digest)
         observer.advance(collection.point_count)
         observer.finish()
         work = folder / WORK_FOLDER
@@ -115,7 +113,8 @@ def run(
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
         else:
-            job = open_job(work, paths, state, digest, configuration, fresh, observer)
+            whole = collection.with_poses(digest)
+            job = open_job(work, paths, state, whole, configuration, fresh, observer)
             cleaned = clean_in_tiles(job, collection, names, staging, observer)
         report = write_account(
             folder, collection, digest, configuration, cleaned, names, staging, observer

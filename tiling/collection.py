@@ -156,6 +156,10 @@ class MapCollection:
         """Whether coordinates are elsewhere than in the files: scans, in the map's frame."""
         return self.poses is not None and not self.poses.are_applied
 
+    def with_poses(self, digest: str) -> str:
+        """Return a hash of the files' bytes and of what moves their points."""
+        return digest if self.poses is None else self.poses.hashed(digest)
+
     @property
     def paths(self) -> tuple[Path, ...]:
         """The files."""

@@ -92,12 +92,15 @@ class OutputNames:
 
 def default_folder(paths: Sequence[Path]) -> Path:
     """Return `<map>_dynahull`, named after the only file, or after the folder of several."""
-    first = located(paths[0])
-    if len(paths) > 1:
-        first = first.parents[len(in_partitions(first).parts) - 1]
-        if first.suffix.lower() not in MAP_SUFFIXES:
-            return Path(f"{first.name}_dynahull")
-    return Path(f"{_stem(first)}_dynahull")
+    first, *others = [located(path) for path in paths]
+    if not others:
+        return Path(f"{_stem(first)}_dynahull")
+    together = Path(os.path.commonpath([each.parent for each in (first, *others)]))
+    while is_partition(together):
+        together = together.parent
+    together = together if together.name else first.parent
+    is_table = together.suffix.lower() in MAP_SUFFIXES
+    return Path(f"{_stem(together) if is_table else together.name}_dynahull")
 
 
 @contextmanager

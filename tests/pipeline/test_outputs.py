@@ -194,6 +194,7 @@ def test_names_that_only_their_suffix_made_different_stay_different(tmp_path):
         (["x/campus/1.pcd", "x/campus/2.pcd"], "campus_dynahull"),
         (["x/table.parquet/day=1/a", "x/table.parquet/day=2/a"], "table_dynahull"),
         (["x/v1.2/1.pcd", "x/v1.2/2.pcd"], "v1.2_dynahull"),
+        (["x/dump/000000/cloud.pcd", "x/dump/000001/cloud.pcd"], "dump_dynahull"),
     ],
 )
 def test_the_default_folder_is_named_after_the_map(paths, expected):
