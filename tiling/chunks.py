@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from tiling.atomic import atomic_file
 from tiling.chunk_store import Chunk, ChunkStore
@@ -55,6 +56,16 @@ def read_chunk(store: ChunkStore, tile: int) -> Chunk:
         found = f"{int(chunk.core.sum())}"
         raise ChunkError(path, f"{core_count} points in the core of tile {tile}", found)
     return chunk
+
+
+def read_core_rows(store: ChunkStore, tile: int) -> NDArray[np.int64]:
+    """Return the row numbers of a tile's core; of Parquet no more is read than these."""
+    if store.format != "parquet":
+        chunk = read_chunk(store, tile)
+        return chunk.rows[chunk.core]
+    with open_parquet(store.chunk_path(tile)) as file:
+        table = file.read(["row", "core"], use_threads=False)
+    return np.asarray(table.column("row").filter(table.column("core")))
 
 
 def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:

@@ -29,12 +29,12 @@ from tiling.survey import Survey
 _PIECE_BYTES = 32
 """A point of a tile, core or halo, until all chunks are gathered."""
 
-_CHUNK_BYTES = {"parquet": 26, "las": 40, "laz": 40}
+_CHUNK_BYTES = {"parquet": 24, "las": 40, "laz": 40}
 """The same in chunks, at most."""
 
-_LATER_BYTES = 30
-"""A point of the map in what tasks keep once the pieces are gone, at most: columns; then densities
-and labels."""
+_COLUMN_BYTES, _LABEL_BYTES = 26, 18
+"""A point of the map in what tasks keep of it once the pieces are gone, at most: columns; later,
+when these are gone too, densities and labels."""
 
 _SCORE_BYTES = 40
 """More, where scores are written."""
@@ -42,7 +42,7 @@ _SCORE_BYTES = 40
 _EVIDENCE_BYTES = 220
 """More, where evidence is weighed, at most: spread, terms that are kept, voxels."""
 
-_SAMPLE_BYTES, _SAMPLED = 120, 300_000
+_SAMPLE_BYTES, _SAMPLED = 80, 300_000
 """A point, of so many, that clusters are fitted on or that the report shows."""
 
 _MICROSECONDS_A_POINT = 8.0
@@ -170,11 +170,12 @@ def make_plan(
     core, all_held = int(layout.counts.sum()), int(held.sum())
     weighs = configuration.removal.weighs_evidence
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
-    later = _LATER_BYTES + (_EVIDENCE_BYTES if weighs else 0)
+    later = _LABEL_BYTES + (_EVIDENCE_BYTES if weighs else 0)
     later += _SCORE_BYTES if configuration.output.needs_scores else 0
     chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
     later = core * later + min(core, _SAMPLED) * _SAMPLE_BYTES
-    disk = chunks + max(all_held * _PIECE_BYTES, later) + bytes_kept(collection)
+    most = max(all_held * _PIECE_BYTES, core * _COLUMN_BYTES, later)
+    disk = chunks + most + bytes_kept(collection)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     return Plan(
         point_count=survey.point_count,

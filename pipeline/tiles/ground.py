@@ -23,7 +23,6 @@ from dynahull.ground.reach import decided_around, ground_radius, height_radius
 from dynahull.ground.slope import GroundSummary
 from dynahull.labels import Label
 from dynahull.summary import Summary
-from pipeline.outputs.map_sample import is_sampled
 from pipeline.tiles.borders import Region
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.files import open_rows
@@ -33,7 +32,6 @@ from tiling.chunk_store import Chunk
 from tiling.chunks import read_chunk
 
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
-SHOWN_NAMES = ("shown_xyz", "shown_rows")
 LABELS = "labels"
 _LEVELS, _OUTLINES, _FLOORS = "levels", "outlines", "floors"
 
@@ -64,7 +62,7 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         floors = height_summary(of_ground.xyz, of_ground.core, job.configuration.ground)
         arrays |= floors.to_arrays(_FLOORS)
     if job.labelling == "ground":
-        arrays |= _samples(job, chunk, labels)
+        arrays |= _sample(job, chunk, labels)
     job.work.save("ground", tile, **arrays)
     count = int(job.store.layout.counts[tile])
     return TaskReport(count, (int(np.count_nonzero(ground & chunk.core)),))
@@ -78,7 +76,7 @@ def find_high(job: Job, tile: int) -> TaskReport:
     limit = job.configuration.max_height
     height = heights_of(job, tile, chunk.xyz[free])
     labels[free[height > (np.inf if limit is None else limit)]] = Label.ABOVE
-    job.work.save("height", tile, **{LABELS: labels}, **_samples(job, chunk, labels))
+    job.work.save("height", tile, **{LABELS: labels}, **_sample(job, chunk, labels))
     return TaskReport(int(job.store.layout.counts[tile]))
 
 
@@ -131,22 +129,14 @@ def summaries(job: Job, stage: str, tile: int, *names: str) -> list[Summary]:
     return [Summary(*pair) for pair in zip(arrays[::2], arrays[1::2], strict=True)]
 
 
-def _samples(job: Job, chunk: Chunk, labels: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    """Return those points of a core that clusters are fitted on, and those that the report shows.
-
-    Without a report none are shown.
-    """
+def _sample(job: Job, chunk: Chunk, labels: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    """Return those points of a core that clusters are fitted on."""
     parameters = job.configuration.clustering
     own = np.flatnonzero(chunk.core & (labels == Label.STATIC))
     in_core = int(np.count_nonzero(chunk.core))
     total = in_core if parameters.scope == "tile" else job.finite_count
-    fitted = own[sample_rows(chunk.rows[own], total, parameters)]
-    kept = {"sample_xyz": chunk.xyz[fitted], "sample_rows": chunk.rows[fitted]}
-    if job.configuration.output.report == "html":
-        core = np.flatnonzero(chunk.core)
-        shown = core[is_sampled(chunk.rows[core], job.collection.point_count)]
-        kept |= {"shown_xyz": chunk.xyz[shown], "shown_rows": chunk.rows[shown]}
-    return kept
+    own = own[sample_rows(chunk.rows[own], total, parameters)]
+    return {"sample_xyz": chunk.xyz[own], "sample_rows": chunk.rows[own]}
 
 
 def region_of(job: Job, tile: int) -> Region:

@@ -17,17 +17,18 @@ from dynahull.result import NO_CLUSTER
 from pipeline.decision import Decision
 from pipeline.errors import WorkError
 from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
-from pipeline.outputs.map_sample import MapSample
+from pipeline.outputs.map_sample import MapSample, is_sampled
 from pipeline.places import ARRAY_NAMES, DecisionSums
 from pipeline.report_page.charts import TileWork
 from pipeline.tiles.cutting import label_unscored, protected_rows
 from pipeline.tiles.density import KeptScores, first_cluster, scores_of
-from pipeline.tiles.ground import SHOWN_NAMES, labelled_points
+from pipeline.tiles.ground import labelled_points
 from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.tiles.weighing import judge_tile
 from pipeline.work.files import GO_ON, make_rows, open_rows, read_sealed, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import JOB_FILE, Job
+from tiling.chunks import read_core_rows
 
 CUTS_FILE = "cuts.json"
 
@@ -67,6 +68,7 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     """
     chunk, labels = labelled_points(job, tile)
     labels, core_rows = labels[chunk.core], chunk.rows[chunk.core]
+    core_xyz = chunk.xyz[chunk.core]
     cluster_of, density = scores_of(job, tile)
     counts, cuts = _cuts_of(job, tile)
     removal = job.configuration.removal
@@ -96,14 +98,11 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         kind, nothing = SCORES[name]
         values[name] = np.full(len(core_rows), nothing, kind)
         values[name][place] = found
-    kept = {"rows": core_rows, **values}
-    if not job.configuration.output.needs_scores:
-        kept = {"rows": core_rows, "label": labels}
+    kept = dict(values) if job.configuration.output.needs_scores else {"label": labels}
     if judged is not None:
-        xyz = chunk.xyz[chunk.core][place]
-        kept |= _decided(job, tile, xyz, judged, safe).to_arrays()
+        kept |= _decided(job, tile, core_xyz[place], judged, safe).to_arrays()
     if job.configuration.output.report == "html":
-        kept |= shown_points(job, tile, core_rows, values).to_arrays()
+        kept |= shown_points(job, core_xyz, core_rows, values).to_arrays()
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
         kept["thresholds"] = np.array(limits)
@@ -161,13 +160,13 @@ def _extremes(job: Job, counts: list[int]) -> list[int]:
 
 
 def shown_points(
-    job: Job, tile: int, core_rows: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
+    job: Job, xyz: NDArray[np.float64], rows: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
 ) -> MapSample:
     """Return the sampled points of a tile's core, and what became of them: `values` of all."""
-    xyz, rows = job.work.load(job.labelling, tile, *SHOWN_NAMES)
-    shown = np.searchsorted(core_rows, rows)  # rows are in order
+    total = job.collection.point_count
+    shown = is_sampled(rows, total)
     of_shown = (values[name][shown] for name in _SHOWN)
-    return MapSample(job.collection.point_count, rows, xyz, *of_shown)
+    return MapSample(total, rows[shown], xyz[shown], *of_shown)
 
 
 def gather_sample(job: Job) -> MapSample:
@@ -219,7 +218,8 @@ class RowResults:
 
     def add(self, tile: int) -> None:
         """Take over what the label task of a tile kept."""
-        rows, *values = self._job.work.load("label", tile, "rows", *self._files)
+        rows = read_core_rows(self._job.store, tile)
+        values = self._job.work.load("label", tile, *self._files)
         for file, of_tile in zip(self._files.values(), values, strict=True):
             file[rows] = of_tile
 

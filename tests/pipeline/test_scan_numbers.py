@@ -81,7 +81,7 @@ def test_names_and_units(tmp_path, name, values):
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("scan", SCAN % 19),
+        ("scan", SCAN % 7),
         ("scan", np.arange(COUNT)),  # a number of the point
         ("scan_angle", SCAN),
         ("ring", SCAN),
