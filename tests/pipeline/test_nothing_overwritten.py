@@ -33,7 +33,13 @@ from tiling.output_file import create_file, write_only, writing_only_into
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
-FAST = ["ground.method=none", "neighbours.k=8", "clustering.count=2", "execution.workers=1"]
+FAST = [
+    "output.labels=false",
+    "ground.method=none",
+    "neighbours.k=8",
+    "clustering.count=2",
+    "execution.workers=1",
+]
 TILED = [*FAST, "tiling.max_points=150", "tiling.halo=0.5"]
 FORMATS = ("npy", "pcd", "ply", "parquet", "laz", "npz")
 
