@@ -2,6 +2,7 @@
 
 import json
 
+import laspy
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -407,3 +408,27 @@ def test_points_are_turned_as_scipy_turns_them_however_many_come_at_a_time(wxyz,
     np.testing.assert_allclose(moved, turn.apply(points) + [1, 2, 3], atol=1e-9)
     one_by_one = [poses.to_map(0, points[n : n + 1]) for n in range(count)]
     np.testing.assert_array_equal(moved, np.concatenate(one_by_one))
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".npz"])
+def test_scans_that_are_decoded_once_are_moved_once(tmp_path, suffix):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for number, cloud in enumerate(CLOUDS):
+        if suffix == ".npz":
+            np.savez(folder / f"{number}.npz", xyz=cloud)
+            continue
+        header = laspy.LasHeader(version="1.4", point_format=6)
+        header.scales = [1e-4] * 3
+        scan = laspy.LasData(header)
+        scan.xyz = cloud.astype("f8")
+        scan.write(folder / f"{number}.laz")
+    np.savetxt(tmp_path / "poses.txt", POSES.reshape(FRAMES, 12), "%.17g")
+    wanted = [f"input.poses={tmp_path}/poses.txt", "output.labels=true"]
+    tables = []
+    for most in (10**6, 700):
+        cleaned(folder, tmp_path / f"out{most}", *wanted, most=most)
+        tables.append((tmp_path / f"out{most}" / "labels.parquet").read_bytes())
+        found = read_result(tmp_path / f"out{most}").xyz
+        np.testing.assert_allclose(np.sort(found, axis=0), np.sort(WORLD, axis=0), atol=2e-4)
+    assert tables[0] == tables[1]
