@@ -130,7 +130,8 @@ def _verify_file(
     columns = table or _Rows(_labelled(folder / str(file.labelled), configuration))
     for batch in reader.batches(_BATCH):
         own = columns.take(len(batch.xyz))
-        scores = PointScores(own[DENSITY], own.get(SCORE))
+        score = own.get(SCORE) if configuration.removal.weighs_evidence else None
+        scores = PointScores(own[DENSITY], score)
         mode = mode_of(reader, configuration.output, own[LABEL], scores)
         expected = mode.records(replace(batch, first_row=0))
         for output, records in zip(outputs, expected, strict=True):

@@ -342,7 +342,7 @@ def test_scans_are_merged_into_one_file_in_the_frame_of_the_map(tmp_path, layout
     assert report.counts == apart.counts
     suffix = collection.paths[0].suffix
     assert set(report.outputs) == {
-        *(f"static{suffix}", f"dynamic{suffix}", "config.yaml", "run.json"),
+        *(f"static{suffix}", f"dynamic{suffix}", "config.yaml", "labels.parquet", "run.json"),
     }
     found = MapCollection([tmp_path / "out" / f"static{suffix}"])
     assert found.readers[0].description.viewpoint in (None, (0, 0, 0, 1, 0, 0, 0))

@@ -36,7 +36,7 @@ def cleaned(map_file, folder, *wanted):
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     np.save(folder / "map.npy", POINTS)
-    cleaned(folder / "map.npy", folder / "plain")
+    cleaned(folder / "map.npy", folder / "plain", "output.labels=false")
     cleaned(folder / "map.npy", folder / "labels", "output.labels=true")
     wanted = ["output.labels=true", "removal.threshold=stepped", "tiling.max_points=200"]
     cleaned(folder / "map.npy", folder / "stepped", *wanted, "execution.cluster=none")
@@ -46,19 +46,20 @@ def results(tmp_path_factory):
     for number, axis in enumerate("xyz"):
         named[axis] = POINTS[:, number]
     np.save(folder / "named.npy", named)
-    cleaned(folder / "named.npy", folder / "label", "output.mode=label")
+    cleaned(folder / "named.npy", folder / "label", "output.mode=label", "output.labels=false")
+    cleaned(folder / "named.npy", folder / "unasked", "output.mode=label")
     cleaned(folder / "named.npy", folder / "both", "output.mode=label", *auto)
     return folder
 
 
-NAMES = ["plain", "labels", "stepped", "auto", "label", "both"]
+NAMES = ["plain", "labels", "stepped", "auto", "label", "unasked", "both"]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_true_results_are_verified(results, name):
     said = verify(results / name)
     assert said.startswith("800 points = ")
-    assert ("labels follow" in said) == (name in ("labels", "stepped", "auto", "both"))
+    assert ("labels follow" in said) == (name not in ("plain", "label"))
 
 
 def test_a_line_a_map_and_exit_code_1(results, tmp_path, capsys, monkeypatch):
