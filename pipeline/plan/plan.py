@@ -39,7 +39,7 @@ when these are gone too, densities and labels."""
 _SCORE_BYTES = 40
 """More, where scores are written."""
 
-_EVIDENCE_BYTES = 220
+_EVIDENCE_BYTES = 245
 """More, where evidence is weighed, at most: spread, terms that are kept, voxels."""
 
 _SAMPLE_BYTES, _SAMPLED = 80, 300_000

@@ -83,15 +83,7 @@ def clean_tiles(
         observer.warn(note)
     gather_chunks(job, executor, observer)
     tiles = job.store.layout.counts.tolist()
-    if job.configuration.ground.method == "slope" and not job.is_spent("columns"):
-        exhaust(do_stage(job, executor, observer, "columns", tiles))
-    ground = sum(
-        report.counts[0] for _, report in do_stage(job, executor, observer, "ground", tiles)
-    )
-    job.remove_spent("columns")
-    warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
-    if job.labelling == "height":
-        exhaust(do_stage(job, executor, observer, "height", tiles))
+    _set_ground_aside(job, executor, observer, tiles)
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
@@ -131,11 +123,22 @@ def find_times(job: Job, collection: MapCollection, observer: StageObserver) -> 
     job.work.finish_step(TIMING, written)
 
 
+def _set_ground_aside(
+    job: Job, executor: Executor, observer: StageObserver, tiles: Sequence[int]
+) -> None:
+    if job.configuration.ground.method == "slope" and not job.is_spent("columns"):
+        exhaust(do_stage(job, executor, observer, "columns", tiles))
+    ground = sum(
+        report.counts[0] for _, report in do_stage(job, executor, observer, "ground", tiles)
+    )
+    job.remove_spent("columns")
+    warn_of_ground(ground, sum(tiles), job.configuration.ground.method, observer)
+    if job.labelling == "height":
+        exhaust(do_stage(job, executor, observer, "height", tiles))
+
+
 def plan_tiles(
-    job: Job,
-    executor: Executor,
-    observer: StageObserver,
-    check: Callable[[Plan], None],
+    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
 ) -> None:
     """Survey the map, and plan its tiles."""
     rows = [len(part) for part in job.row_ranges]

@@ -88,8 +88,7 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         centroids=clusters.centroids,
     )
     counts = np.bincount(cluster, minlength=len(clusters.centroids))
-    points_of_core = int(job.store.layout.counts[tile])
-    return TaskReport(points_of_core, (finished_elsewhere, *counts.tolist()))
+    return TaskReport(int(job.store.layout.counts[tile]), (finished_elsewhere, *counts.tolist()))
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:
