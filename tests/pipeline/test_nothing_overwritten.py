@@ -316,19 +316,19 @@ def publish_and_die(folder, renames):
 def test_of_a_publishing_that_was_killed_only_its_own_files_make_way(tmp_path, renames):
     folder = tmp_path / "out"
     given = save(tmp_path / "map.npy")
-    clean([given], folder, "output.labels=false")
+    clean([given], folder)
     publish_and_die(folder, renames)
     (folder / "labels.parquet").write_text("mine")
     with pytest.raises(OutputError, match="no run wrote"):
         clean([given], folder, "output.labels=true")
     assert (folder / "labels.parquet").read_text() == "mine"
-    clean([given], folder, "output.labels=false")
+    clean([given], folder)
     assert (folder / "run.json").is_file()
     if renames:
         publish_and_die(folder, renames)
         (folder / "dynamic.npy").write_text("mine now")
         with pytest.raises(OutputError, match="no run wrote"):
-            clean([given], folder, "output.labels=false")
+            clean([given], folder)
         assert (folder / "dynamic.npy").read_text() == "mine now"
 
 

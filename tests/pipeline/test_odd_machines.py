@@ -21,7 +21,7 @@ from pipeline.run import run
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
 from tiling import output_file
 
-TWO_WORKERS = [*TILED[:3], "execution.workers=2", "tiling.max_points=150", "tiling.halo=0.5"]
+TWO_WORKERS = [*FAST[:-1], "execution.workers=2", "tiling.max_points=150", "tiling.halo=0.5"]
 
 
 def clean(given, output, settings):
