@@ -180,7 +180,8 @@ def _figures(report: RunReport) -> list[tuple[str, str, str]]:
         kept = f"{report.uncertain_points:,} points uncertain, kept"
         figures.append(("places", f"{report.place_count:,}", kept))
     if report.time is not None:
-        figures.append(("time", report.time, "what told when points were seen"))
+        known = report.time != "none"
+        figures.append(("scans", "known" if known else "unknown", report.time if known else ""))
     figures.append(("clusters", f"{len(report.clusters):,}", ""))
     figures.append(("wall time", _seconds(sum(report.seconds.values())), "all stages below"))
     peak, whose = report.peak_memory_all_bytes, "of all processes together, at most"
