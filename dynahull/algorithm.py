@@ -143,24 +143,11 @@ def clean(
         parameters.neighbours.k,
     )
     density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
+    judged = Judged.nothing(len(coordinates))
     if parameters.removal.weighs_evidence:
         judged = _weighed(coordinates, rows, density, membership, spreads, aside, scans,
                           parameters, threads, observer)  # fmt: skip
-        removals = [
-            remove_likely(judged.score[members], parameters.removal.confidence)
-            for members in membership
-        ]
-    else:
-        judged = Judged.nothing(len(coordinates))
-        warn_of_densities(density_levels(density), observer)
-        removals = [
-            remove_least_dense(density[members], members, percentage, parameters.removal.threshold)
-            for members, percentage in zip(membership, percentages, strict=True)
-        ]
-    removals = [
-        Removal(removal.dynamic & ~safe[members], removal.threshold)
-        for members, removal in zip(membership, removals, strict=True)
-    ]
+    removals = _removals(density, judged, membership, percentages, parameters, safe, observer)
     summaries = _summaries(clusters, membership, percentages, removals)
     if parameters.removal.weighs_evidence:
         warn_of_much_removed(summaries, observer)
@@ -299,6 +286,31 @@ def _weighed(
     judged.score[rows], judged.reason[rows] = found.score, found.reason
     observer.advance(len(rows))
     return judged
+
+
+def _removals(
+    density: NDArray[np.float64],
+    judged: Judged,
+    membership: Sequence[NDArray[np.int64]],
+    percentages: Sequence[Fraction],
+    parameters: MethodParameters,
+    safe: NDArray[np.bool_],
+    observer: Observer,
+) -> list[Removal]:
+    """Decide what goes of each cluster; what is protected stays."""
+    removal = parameters.removal
+    if removal.weighs_evidence:
+        found = [remove_likely(judged.score[members], removal.confidence) for members in membership]
+    else:
+        warn_of_densities(density_levels(density), observer)
+        found = [
+            remove_least_dense(density[members], members, percentage, removal.threshold)
+            for members, percentage in zip(membership, percentages, strict=True)
+        ]
+    return [
+        Removal(each.dynamic & ~safe[members], each.threshold)
+        for members, each in zip(membership, found, strict=True)
+    ]
 
 
 def _merged_labels(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError, PartsError, PointCountError
 from tiling.formats.parts import PartWriter
 from tiling.formats.points import DEFAULT_BATCH, Field, MapDescription, PointBatch, checked_rows
+from tiling.output_file import create_file
 
 LARGEST_BATCH = 1 << 26
 """Bytes of records in a batch, however many points the caller allows."""
@@ -289,3 +290,35 @@ class ExtendedFormat(ABC):
             Classes that take the place of the points' own, where the format has them; elsewhere
             they are not looked at.
         """
+
+
+class TextWriter(MapWriter):
+    """Writes rows as they stood in the file they come from.
+
+    Parameters
+    ----------
+    path, point_count
+        As for `MapWriter`.
+    head : bytes
+        What stands before them.
+    """
+
+    def __init__(self, path: Path, point_count: int, head: bytes) -> None:
+        super().__init__(path, point_count)
+        self._file = create_file(path)  # closed by `_finish` and `_abandon`
+        self._file.write(head)
+        self._ended = True
+
+    def _append(self, records: Any) -> None:
+        text = records.tobytes()
+        if not self._ended:
+            self._file.write(b"\n")
+        self._file.write(text)
+        # The last row of a file may have no line ending.
+        self._ended = text.endswith(b"\n")
+
+    def _finish(self) -> None:
+        self._file.close()
+
+    def _abandon(self) -> None:
+        self._file.close()

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, TextWriter
 from tiling.formats.extension import ExtendedText
 from tiling.formats.points import (
     COORDINATES,
@@ -28,7 +28,7 @@ from tiling.formats.points import (
     only_rows,
 )
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
-from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, TextWriter, read_rows
+from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, read_rows
 
 _SEPARATORS = {b";": "semicolons", b",": "commas", b"\t": "tabs", b"": "blanks"}
 """In the order in which they are tried: the first that splits the first row counts."""

@@ -18,8 +18,6 @@ from pyarrow.lib import ArrowInvalid, LargeStringArray, float64, py_buffer
 
 from tiling.compiled import compiled, helper
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapWriter
-from tiling.output_file import create_file
 
 BLOCK = 2 << 20
 """Bytes of text read at a time."""
@@ -376,35 +374,3 @@ def _join_rows(text: Bytes, starts: Positions, stops: Positions, joined: Bytes) 
         for source in range(starts[row], stops[row]):
             joined[target] = text[source]
             target += 1
-
-
-class TextWriter(MapWriter):
-    """Writes rows as they stood in the file they come from.
-
-    Parameters
-    ----------
-    path, point_count
-        As for `MapWriter`.
-    head : bytes
-        What stands before them.
-    """
-
-    def __init__(self, path: Path, point_count: int, head: bytes) -> None:
-        super().__init__(path, point_count)
-        self._file = create_file(path)  # closed by `_finish` and `_abandon`
-        self._file.write(head)
-        self._ended = True
-
-    def _append(self, records: Any) -> None:
-        text = records.tobytes()
-        if not self._ended:
-            self._file.write(b"\n")
-        self._file.write(text)
-        # The last row of a file may have no line ending.
-        self._ended = text.endswith(b"\n")
-
-    def _finish(self) -> None:
-        self._file.close()
-
-    def _abandon(self) -> None:
-        self._file.close()

@@ -23,7 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
+from tiling.formats.base import (
+    ExtendedFormat,
+    MapReader,
+    MapWriter,
+    SinglePartWriter,
+    TextWriter,
+)
 from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, put_records
@@ -31,7 +37,7 @@ from tiling.formats.pcd import lzf
 from tiling.formats.pcd.column_spool import ColumnSpool
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.text_rows import RowLayout, TextRows, TextWriter, read_rows
+from tiling.formats.text_rows import RowLayout, TextRows, read_rows
 from tiling.output_file import create_file
 
 _SIZES = struct.Struct("<II")
