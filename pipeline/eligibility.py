@@ -105,8 +105,8 @@ class Watcher:
     Attributes
     ----------
     outskirts : Outskirts
-    left_out : int
-        Points left out so far.
+    left_out, protected : int
+        Points that were marked so.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Watcher:
         note: Callable[[int, NDArray[np.uint8]], None] | None = None,
     ) -> None:
         self.outskirts = Outskirts(configuration.neighbours.k)
-        self.left_out = 0
+        self.left_out = self.protected = 0
         self._configuration = configuration
         self._note = note
 
@@ -128,6 +128,7 @@ class Watcher:
             if found.any():
                 out = found == LEFT_OUT
                 self.left_out += int(np.count_nonzero(out))
+                self.protected += int(np.count_nonzero(found == PROTECTED))
                 seen &= ~out
                 if self._note is not None:
                     self._note(batch.first_row, found)

@@ -151,9 +151,9 @@ def plan_tiles(
         warn_of_set_aside(job, observer)
         return
     try:
-        survey, strays, left_out = _whole_survey(job, reports)
+        survey, strays, marked = _whole_survey(job, reports)
         with noting() as written:
-            save_set_aside(job, strays, left_out)
+            save_set_aside(job, strays, *marked)
         warn_of_set_aside(job, observer)
         plan = make_plan(job.collection, survey, job.configuration, executor.workers)
         check(plan)
@@ -221,23 +221,22 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
 
 def _whole_survey(
     job: Job, reports: Iterator[tuple[int, TaskReport]]
-) -> tuple[Survey, Strays, int]:
-    """Put the surveys of all ranges of rows together; count the points that take no part."""
+) -> tuple[Survey, Strays, list[int]]:
+    """Put the surveys of all ranges of rows together; count points left out and protected."""
     outskirts = Outskirts(job.configuration.neighbours.k)
-    left_out = 0
+    marked = [0, 0]
 
     def surveys() -> Iterator[Survey]:
-        nonlocal left_out
         for number, report in reports:
             outskirts.merge(
                 Outskirts.from_arrays(*job.work.load("survey", number, *OUTSKIRTS_NAMES))
             )
-            left_out += report.counts[0]
+            marked[:] = map(sum, zip(marked, report.counts, strict=True))
             yield Survey.from_arrays(*job.work.load("survey", number, *_SURVEY_NAMES))
 
     merged = merge(surveys())
     strays = outskirts.strays()
-    return survey_of_others(merged, strays), strays, left_out
+    return survey_of_others(merged, strays), strays, marked
 
 
 def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:

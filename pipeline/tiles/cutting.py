@@ -41,13 +41,14 @@ class SetAside:
         Points at exactly the origin, if they are a heap; otherwise 0.
     strays : (n,) int64 array
         Row numbers, ascending.
-    left_out : int
-        Points that the map marks.
+    left_out, protected : int
+        Points that are marked so.
     """
 
     heap: int
     strays: NDArray[np.int64]
     left_out: int
+    protected: int
 
     @property
     def unscored(self) -> int:
@@ -55,9 +56,10 @@ class SetAside:
         return self.left_out + len(self.strays)
 
 
-def save_set_aside(job: Job, strays: Strays, left_out: int) -> None:
+def save_set_aside(job: Job, strays: Strays, left_out: int, protected: int) -> None:
     """Keep what all ranges of rows together say."""
     values = {"heap": strays.heap, "strays": strays.rows.tolist(), "left_out": left_out}
+    values["protected"] = protected
     write_sealed(job.root / SET_ASIDE_FILE, values)
 
 
@@ -77,7 +79,8 @@ def set_aside(job: Job) -> SetAside:
 @lru_cache(maxsize=1)
 def _read(path: Path, _changed: int) -> SetAside:
     stored = read_sealed(path)
-    return SetAside(stored["heap"], np.array(stored["strays"], np.int64), stored["left_out"])
+    strays = np.array(stored["strays"], np.int64)
+    return SetAside(stored["heap"], strays, stored["left_out"], stored["protected"])
 
 
 class PointsTakingPart:
@@ -120,7 +123,7 @@ def label_unscored(job: Job, labels: NDArray[np.uint8]) -> None:
 
 def protected_rows(job: Job, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Tell which points, by their row numbers, are never removed."""
-    if not may_mark(job.collection, job.configuration):
+    if not set_aside(job).protected:
         return np.zeros(len(rows), np.bool_)
     return np.asarray(open_rows(job.rows_path(_MARKS), np.uint8)[rows] == PROTECTED)
 
@@ -150,7 +153,7 @@ def survey_rows(job: Job, number: int) -> TaskReport:
     watcher = Watcher(job.configuration, note)
     survey = survey_batches(watcher.watch(batches))
     job.work.save("survey", number, **survey.to_arrays(), **watcher.outskirts.to_arrays())
-    return TaskReport(len(rows), (watcher.left_out,))
+    return TaskReport(len(rows), (watcher.left_out, watcher.protected))
 
 
 def _values_kept(
