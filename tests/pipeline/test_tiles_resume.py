@@ -183,7 +183,8 @@ def test_only_what_was_not_done_is_done_when_the_run_goes_on(
     after = {(stage, tile) for stage in ("label",) for tile in range(tiles)}
     assert sorted(done_tasks) == sorted([("density", 4), *after, ("write", 0)])
     assert before.items() <= markers(interrupted).items()
-    assert "going on with an earlier run; tasks done: survey 1, cut 1, ground" in caplog.text
+    done = f"going on with an earlier run; tasks done: survey 1, cut 1, chunk {tiles}, ground"
+    assert done in caplog.text
     assert list(stages.TASKS) == list(STAGES)
     assert report.warnings == []
     assert results(interrupted) == expected
