@@ -128,7 +128,9 @@ def _of_parts(table: pa.Table, keys: Sequence[tuple[str, int | str | None]]) -> 
             column = pc.list_element(column, key)
         elif isinstance(key, str):
             column = pc.struct_field(column, key)
-        xyz[:, axis] = column.cast(pa.float64(), safe=False).to_numpy()
+        if pa.types.is_decimal(column.type):
+            column = column.cast(pa.float64(), safe=False)
+        xyz[:, axis] = column.to_numpy()
     return xyz
 
 
