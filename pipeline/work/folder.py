@@ -205,7 +205,8 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-STAGES = ("survey", "cut", "chunk", "ground", "density", "evidence", "label", "write")
+STAGES = ("survey", "cut", "chunk", "columns", "ground", "height", "density", "evidence",
+          "label", "write")  # fmt: skip
 """Those whose work is shared out, in their order."""
 
 
