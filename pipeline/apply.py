@@ -97,11 +97,7 @@ def decide_again(
     cores = available_cores(configuration.execution.workers)
     collection = open_collection(paths, configuration.input, cores)
     check_mode(collection.readers, configuration)
-    names = OutputNames.of(
-        collection.readers,
-        configuration.output.mode,
-        thinned=configuration.output.voxel is not None,
-    )
+    names = OutputNames.of_run(collection.readers, configuration.output)
     results = names.all_files(True, configuration.output.report == "html")
     with output_folder(output or folder, results, paths) as staging, unchanged(paths):
         observer.stage("hashing", collection.point_count)
@@ -285,6 +281,7 @@ class _Decision:
             clusters,
             decision,
             views,
+            time=self._report.time if removal.weighs_evidence else None,
         )
 
     def _percentages(self) -> Sequence[Fraction]:

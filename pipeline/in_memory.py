@@ -80,7 +80,7 @@ def clean_in_memory(
         result.clusters,
         decision,
         views,
-        source=source,
+        time=str(source or "none") if removal.weighs_evidence else None,
     )
 
 

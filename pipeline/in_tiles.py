@@ -73,7 +73,7 @@ def clean_in_tiles(
         decision,
         views,
         tiles,
-        job.scan_source,
+        str(job.scan_source or "none") if job.configuration.removal.weighs_evidence else None,
     )
 
 

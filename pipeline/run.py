@@ -92,9 +92,7 @@ def run(
     for note in _notes(collection):
         observer.warn(note)
     check_mode(collection.readers, configuration)
-    outputs = collection.readers[:1] if configuration.output.merge else collection.readers
-    thinned = configuration.output.voxel is not None
-    names = OutputNames.of(outputs, configuration.output.mode, thinned=thinned)
+    names = OutputNames.of_run(collection.readers, configuration.output)
     wants_page = configuration.output.report == "html"
     results = names.all_files(bool(configuration.output.labels), wants_page)
     with (
@@ -137,8 +135,7 @@ def write_account(
     """Write what comes of a cleaned map beside it: thinned map, labels, page, figures."""
     if configuration.output.voxel is not None:
         places = [staging / name for name in names.thinned]
-        voxel = configuration.output.voxel
-        write_thinned(collection, cleaned.labels, voxel, places, staging, observer)
+        write_thinned(collection, cleaned.labels, configuration.output, places, staging, observer)
     if configuration.output.labels:
         write_labels(cleaned, staging / LABELS_FILE)
     observer.finish()
@@ -150,7 +147,7 @@ def write_account(
         cleaned.counts,
         cleaned.clusters,
         cleaned.decision,
-        cleaned.source,
+        cleaned.time,
         names,
         observer,
     )

@@ -5,8 +5,8 @@ each point the whole record is compared, as the files store it.
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,17 @@ from dynahull.labels import Label
 from dynahull.removal import removable_count, remove_likely
 from dynahull.rescale import removal_count, removal_percentages
 from pipeline.configuration.run import Configuration
+from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import VerificationError
 from pipeline.outputs.modes import DENSITY, LABEL, SCORE, PointScores, mode_of
 from pipeline.outputs.reading import added_values
 from pipeline.outputs.run_report import InputFile, RunReport
+from pipeline.outputs.writing import merged_batches
 from pipeline.replacing import LABELS_FILE, RUN_FILE
+from pipeline.units import open_collection
 from tiling.collection import MapCollection, content_hash
 from tiling.foreign_text import printable_path
-from tiling.formats import MapReader, open_map
+from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parquet_file import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
 from tiling.formats.row_digests import row_digests
@@ -32,6 +35,8 @@ from tiling.formats.row_digests import row_digests
 _BATCH = DEFAULT_BATCH // 4
 _MOST_WAYS = 10_000
 """Ways to share equal points out to two outputs, that are followed at once."""
+
+_SAFE = "protected"
 
 Columns = dict[str, NDArray[Any]]
 
@@ -83,15 +88,21 @@ def verify(folder: Path) -> str:
     if missing:
         raise VerificationError(f"{folder / missing[0]}: expected a result, found no file")
     paths = [Path(file.path) for file in report.files]
-    collection = MapCollection(paths)
+    collection = open_collection(paths, configuration.input)
     if content_hash(paths) != report.input_hash:
         raise VerificationError(
             f"{collection.name}: expected the map that was cleaned, found one "
             f"that was changed since"
         )
     table = _Rows(_table(folder / LABELS_FILE)) if configuration.output.labels else None
-    for file, reader in zip(report.files, collection.readers, strict=True):
-        _verify_file(folder, file, reader, configuration, table)
+    if configuration.output.merge:
+        merged = _Written(collection.readers[0].merged(), collection.point_count)
+        batches = merged_batches(collection, _BATCH)
+        _verify_file(folder, report.files[0], merged, batches, configuration, table)
+    else:
+        for file, reader in zip(report.files, collection.readers, strict=True):
+            whole = _Written(reader, reader.description.point_count)
+            _verify_file(folder, file, whole, reader.batches(_BATCH), configuration, table)
     if table is not None and table.has_more():
         raise VerificationError(f"{folder / LABELS_FILE}: expected a row a point, found more")
     counts = report.counts
@@ -104,31 +115,41 @@ def verify(folder: Path) -> str:
     )
     if table is None:
         return said
-    _verify_labels(folder, report, configuration)
+    _verify_labels(folder, report, configuration, collection)
     follow = "scores" if configuration.removal.weighs_evidence else "densities"
     return f"{said}; labels follow from the {follow}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """What is written of some points: the reader that says how, and how many."""
+
+    reader: MapReader
+    points: int
 
 
 def _verify_file(
     folder: Path,
     file: InputFile,
-    reader: MapReader,
+    written: _Written,
+    batches: Iterable[PointBatch],
     configuration: Configuration,
     table: "_Rows | None",
 ) -> None:
-    """Compare one input file with what was written of it."""
+    """Compare points of the input with what was written of them."""
+    reader = written.reader
     outputs = [_Output(folder / name, reader, file.labelled is None) for name in file.outputs]
     found = sum(output.count for output in outputs)
-    if found != reader.description.point_count:
+    if found != written.points:
         raise VerificationError(
-            f"{folder / file.outputs[0]}: expected {reader.description.point_count} points in all "
+            f"{folder / file.outputs[0]}: expected {written.points} points in all "
             f"outputs of {printable_path(file.path)}, found {found}"
         )
     if table is None and file.labelled is None:
-        _verify_order(reader, *outputs)
+        _verify_order(reader.description.path, batches, *outputs)
         return
     columns = table or _Rows(_labelled(folder / str(file.labelled), configuration))
-    for batch in reader.batches(_BATCH):
+    for batch in batches:
         own = columns.take(len(batch.xyz))
         score = own.get(SCORE) if configuration.removal.weighs_evidence else None
         scores = PointScores(own[DENSITY], score)
@@ -176,14 +197,16 @@ class _Output:
         self.forget(self._first + len(digests))
 
 
-def _verify_order(reader: MapReader, static: _Output, dynamic: _Output) -> None:
+def _verify_order(
+    path: Path, batches: Iterable[PointBatch], static: _Output, dynamic: _Output
+) -> None:
     """Check that two outputs, one point after the other, make up the input.
 
     Where a point is next in both, both ways are followed: what is known is how many points may have
     been taken from the first so far.
     """
     ways, row = [0], 0
-    for batch in reader.batches(_BATCH):
+    for batch in batches:
         for digest in row_digests(batch.records):
             following: list[int] = []
             for taken in ways:
@@ -193,12 +216,12 @@ def _verify_order(reader: MapReader, static: _Output, dynamic: _Output) -> None:
                     following.append(taken + 1)
             if not following:
                 raise VerificationError(
-                    f"{reader.description.path}: expected point {row} next in an output, found it "
+                    f"{path}: expected point {row} next in an output, found it "
                     "in none, or not in its place"
                 )
             if len(following) > _MOST_WAYS:
                 raise VerificationError(
-                    f"{reader.description.path}: expected points that can be told apart, found "
+                    f"{path}: expected points that can be told apart, found "
                     f"too many that are equal near point {row}; run again with --labels"
                 )
             ways, row = following, row + 1
@@ -255,8 +278,20 @@ def _labelled(path: Path, configuration: Configuration) -> Iterator[Columns]:
         yield {**found, LABEL: found[LABEL].astype(np.uint8)}
 
 
-def _verify_labels(folder: Path, report: RunReport, configuration: Configuration) -> None:
-    """Check that labels follow from the densities, or from the scores."""
+def _protected(
+    path: Path, collection: MapCollection, configuration: Configuration
+) -> Iterator[Columns]:
+    """Yield the columns of `labels.parquet`, and which points are protected."""
+    rows = _Rows(_table(path))
+    for _, batch in collection.batches(_BATCH):
+        safe = marks(batch, configuration) == PROTECTED
+        yield {**rows.take(len(safe)), _SAFE: safe}
+
+
+def _verify_labels(
+    folder: Path, report: RunReport, configuration: Configuration, collection: MapCollection
+) -> None:
+    """Check that labels follow from the densities, or from the scores; what is protected stays."""
     path = folder / LABELS_FILE
 
     def fail(expected: str) -> VerificationError:
@@ -265,12 +300,15 @@ def _verify_labels(folder: Path, report: RunReport, configuration: Configuration
     removal = configuration.removal
     sums = _ClusterSums(len(report.clusters))
     labels = np.zeros(len(Label), np.int64)
-    for columns in _table(path):
+    for columns in _protected(path, collection, configuration):
+        safe, dynamic = columns[_SAFE], columns[LABEL] == Label.DYNAMIC
+        if np.any(safe & dynamic):
+            raise fail("protected points to stay")
         labels += np.bincount(columns[LABEL], minlength=len(Label))
         sums.add(columns)
         if removal.weighs_evidence:
             likely = remove_likely(columns[SCORE], removal.confidence).dynamic
-            if not np.array_equal(likely, columns[LABEL] == Label.DYNAMIC):
+            if not np.array_equal(likely & ~safe, dynamic):
                 raise fail(f"points of a score of {removal.confidence} or more to be dynamic")
     if {label.title: int(labels[label]) for label in Label} != report.counts:
         raise fail(f"the counts of {RUN_FILE}")
@@ -281,16 +319,18 @@ def _verify_labels(folder: Path, report: RunReport, configuration: Configuration
     shares = removal_percentages(
         sums.counts.tolist(), removal.min_percent, removal.max_percent, configuration.neighbours.k
     )
-    reached = sums.thresholds(lambda: _table(path))
+    reached = sums.thresholds(lambda: _protected(path, collection, configuration))
     for cluster, share in zip(report.clusters, shares, strict=True):
         number = cluster.index
         count, gone = int(sums.counts[number]), int(sums.gone[number])
         finite = int(sums.finite[number])
         if (cluster.count, cluster.removed) != (count, gone):
             raise fail(f"the points of cluster {number} that {RUN_FILE} has")
-        if removal.threshold == "rank" and gone != min(removal_count(share, count), finite):
+        wanted, spared = min(removal_count(share, count), finite), bool(sums.spared[number])
+        if removal.threshold == "rank" and (gone > wanted if spared else gone != wanted):
             raise fail(f"{float(share):.2f} % of cluster {number} to be dynamic (Eq. 1)")
-        if removal.threshold == "stepped" and 0 < gone < removable_count(share, count, finite):
+        fewest = 0 if spared else removable_count(share, count, finite)
+        if removal.threshold == "stepped" and 0 < gone < fewest:
             raise fail(f"{float(share):.2f} % of cluster {number} or more to be dynamic")
         if not reached[number]:
             raise fail(f"the least dense points of cluster {number} to be dynamic")
@@ -300,12 +340,13 @@ class _ClusterSums:
     """What is counted of each cluster."""
 
     def __init__(self, clusters: int) -> None:
-        self.counts, self.finite, self.gone = np.zeros((3, clusters), np.int64)
+        self.counts, self.finite, self.gone, self.spared = np.zeros((4, clusters), np.int64)
         self._densest = np.full(clusters, -np.inf)
 
     def add(self, columns: Columns) -> None:
         """Count some points."""
-        for number, density, dynamic, _ in self._clusters(columns):
+        for number, rows, density, dynamic in self._clusters(columns):
+            self.spared[number] += np.count_nonzero(columns[_SAFE][rows])
             finite = np.isfinite(density)
             self.counts[number] += len(density)
             self.finite[number] += np.count_nonzero(finite)
@@ -323,11 +364,12 @@ class _ClusterSums:
         first_kept = np.full(len(self.counts), np.iinfo(np.int64).max)
         row = 0
         for columns in again():
-            for number, density, dynamic, rows in self._clusters(columns):
+            for number, rows, density, dynamic in self._clusters(columns):
                 most = self._densest[number]
-                right[number] &= not bool(np.any(~dynamic & (density < most)))
+                stays = ~dynamic & ~columns[_SAFE][rows]
+                right[number] &= not bool(np.any(stays & (density < most)))
                 tied = density == most
-                gone, kept = rows[tied & dynamic] + row, rows[tied & ~dynamic] + row
+                gone, kept = rows[tied & dynamic] + row, rows[tied & stays] + row
                 last_gone[number] = gone.max(initial=last_gone[number])
                 first_kept[number] = kept.min(initial=first_kept[number])
             row += len(columns[LABEL])
@@ -335,7 +377,7 @@ class _ClusterSums:
         return [one and other for one, other in zip(right, in_order, strict=True)]
 
     def _clusters(self, columns: Columns) -> Iterator[tuple[int, Any, Any, Any]]:
-        """Yield number, densities, which are dynamic, and rows of the points of each cluster."""
+        """Yield number, rows, densities, and which are dynamic, of the points of each cluster."""
         for number in range(len(self.counts)):
             rows = np.flatnonzero(columns["cluster"] == number)
-            yield number, columns[DENSITY][rows], columns[LABEL][rows] == Label.DYNAMIC, rows
+            yield number, rows, columns[DENSITY][rows], columns[LABEL][rows] == Label.DYNAMIC

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from pipeline.configuration.run import OutputParameters
 from pipeline.errors import OutputError
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.replacing import (
@@ -70,6 +71,12 @@ class OutputNames:
         suffixes = [reader.description.suffix for reader in readers]
         names = _distinct_names(paths, suffixes)
         return cls(**{kind: tuple(Path(kind) / name for name in names) for kind in kinds})
+
+    @classmethod
+    def of_run(cls, readers: Sequence[MapReader], output: OutputParameters) -> "OutputNames":
+        """Choose the names that a run asks for."""
+        files = readers[:1] if output.merge else readers
+        return cls.of(files, output.mode, thinned=output.voxel is not None)
 
     @property
     def by_kind(self) -> dict[str, tuple[Path, ...]]:

@@ -16,7 +16,6 @@ from pipeline.outputs.folder import OutputNames
 from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
-from pipeline.scan_numbers import ScanSource
 from pipeline.showing import printable
 from pipeline.units import of_map
 from tiling.collection import MapCollection
@@ -150,7 +149,7 @@ class RunReport(BaseModel):
         counts: dict[str, int],
         clusters: Sequence[ClusterSummary],
         decision: Decision | None,
-        source: ScanSource | None,
+        time: str | None,
         names: OutputNames,
         observer: StageObserver,
     ) -> "RunReport":
@@ -179,7 +178,7 @@ class RunReport(BaseModel):
             peak_memory_all_bytes=_peak_of_all(configuration, observer),
             warnings=list(observer.warnings),
             system=of_map(collection, configuration.input),
-            time=None if decision is None else str(source or "none"),
+            time=time,
             configuration=configuration.model_dump(mode="json"),
         )
 

@@ -5,8 +5,9 @@ so that memory does not grow with the map, and the choice does not depend on how
 """
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,12 @@ from numpy.typing import NDArray
 
 from dynahull.checking import valid_points
 from dynahull.labels import Label
+from pipeline.configuration.run import OutputParameters
+from pipeline.outputs.writing import merged_batches
 from pipeline.progress import StageObserver
 from pipeline.work.files import make_rows, open_rows
 from tiling.collection import MapCollection
+from tiling.formats import MapReader, PointBatch
 from tiling.output_file import create_file
 
 _RECORD = np.dtype([("cell", "<i8", 3), ("off", "<f8"), ("row", "<i8")])
@@ -31,12 +35,12 @@ _PRIMES = np.array([73_856_093, 19_349_663, 83_492_791])
 def write_thinned(
     collection: MapCollection,
     labels: NDArray[np.uint8],
-    voxel: float,
+    output: OutputParameters,
     places: Sequence[Path],
     staging: Path,
     observer: StageObserver,
 ) -> int:
-    """Write the thinned map, a file for each of the map; return its points.
+    """Write the thinned map, a file for each of the map, or one of all; return its points.
 
     Points without finite coordinates are in no voxel, and are left out.
 
@@ -45,8 +49,8 @@ def write_thinned(
     collection : MapCollection
     labels : (N,) uint8 array
         Dynamic points are left out.
-    voxel : float
-        Edge, metres.
+    output : OutputParameters
+        `voxel`, the edge in metres, and `merge`.
     places : sequence of Path
         Of the outputs.
     staging : Path
@@ -58,7 +62,9 @@ def write_thinned(
     make_rows(work / "chosen", collection.point_count, np.uint8, 0)
     chosen = open_rows(work / "chosen", np.uint8, "r+")
     observer.stage("thinning", 2 * collection.point_count)
-    for file in _sorted_by_voxel(collection, labels, voxel, work, observer):
+    edge = output.voxel
+    assert edge is not None
+    for file in _sorted_by_voxel(collection, labels, edge, work, observer):
         points = np.fromfile(file, _RECORD)
         order = np.lexsort((points["row"], points["off"], *points["cell"].T))
         cells = points["cell"][order]
@@ -66,7 +72,15 @@ def write_thinned(
         first[1:] = (cells[1:] != cells[:-1]).any(axis=1)
         chosen[points["row"][order[first]]] = 1
         file.unlink()
-    _write(collection, chosen, places, observer)
+    if output.merge:
+        reader = collection.readers[0].merged()
+        _write(reader, merged_batches(collection), chosen, places[0], observer)
+    else:
+        first_rows = [*collection.first_rows, collection.point_count]
+        for reader, place, bounds in zip(
+            collection.readers, places, pairwise(first_rows), strict=True
+        ):
+            _write(reader, reader.batches(), chosen[slice(*bounds)], place, observer)
     count = int(np.count_nonzero(chosen))
     shutil.rmtree(work)
     return count
@@ -101,18 +115,16 @@ def _sorted_by_voxel(
 
 
 def _write(
-    collection: MapCollection,
+    reader: MapReader,
+    batches: Iterable[PointBatch],
     chosen: NDArray[Any],
-    places: Sequence[Path],
+    place: Path,
     observer: StageObserver,
 ) -> None:
-    ends = [*collection.first_rows[1:], collection.point_count]
-    for file, (reader, place) in enumerate(zip(collection.readers, places, strict=True)):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        rows = range(collection.first_rows[file], ends[file])
-        count = int(np.count_nonzero(chosen[rows.start : rows.stop]))
-        with reader.writer(place, count) as writer:
-            for _, batch in collection.batches(rows=rows):
-                own = chosen[batch.first_row : batch.first_row + len(batch.xyz)] != 0
-                writer.write(batch.select(own))
-                observer.advance(len(batch.xyz))
+    """Write the chosen ones of some points, numbered from 0, as a reader's file has them."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with reader.writer(place, int(np.count_nonzero(chosen))) as writer:
+        for batch in batches:
+            own = chosen[batch.first_row : batch.first_row + len(batch.xyz)] != 0
+            writer.write(batch.select(own))
+            observer.advance(len(batch.xyz))

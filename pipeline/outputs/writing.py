@@ -1,6 +1,6 @@
 """What a run made of a map, and the files that it is written into."""
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -22,7 +22,6 @@ from pipeline.outputs.modes import PointScores, mode_of
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views
-from pipeline.scan_numbers import ScanSource
 from tiling.collection import MapCollection
 from tiling.formats import PointBatch, open_map
 from tiling.formats.points import DEFAULT_BATCH
@@ -50,8 +49,8 @@ class CleanedMap:
         Gives what the report shows; None where none is wanted.
     tiles : TileWork or None
         What they took; None where no report is wanted, or the map is one tile.
-    source : ScanSource or None
-        What told when points were seen; None where nothing did, or nobody asked.
+    time : str or None
+        What told when points were seen, "none" where nothing did; None where nobody asked.
     """
 
     labels: NDArray[np.uint8]
@@ -64,7 +63,7 @@ class CleanedMap:
     decision: Decision | None
     views: Callable[[], Views] | None = None
     tiles: TileWork | None = None
-    source: ScanSource | None = None
+    time: str | None = None
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
@@ -162,7 +161,6 @@ def _write_merged(
     count = collection.point_count
     observer.stage("write", count)
     mode = mode_of(collection.readers[0].merged(), output, labels, scores)
-    metres = 1.0 if collection.metres is None else collection.metres
     with ExitStack() as stack:
         writers = [
             stack.enter_context(each.writer(path, points))
@@ -170,16 +168,26 @@ def _write_merged(
                 mode.formats, outputs, mode.counts(range(count)), strict=True
             )
         ]
-        for file, batch in collection.batches():
-            if collection.is_moved:
-                moved = collection.readers[file].moved(batch.records, batch.xyz / metres)
-                batch = replace(batch, records=moved)  # noqa: PLW2901
+        for batch in merged_batches(collection):
             for writer, records in zip(writers, mode.records(batch), strict=True):
                 writer.write(records)
             observer.advance(len(batch.xyz))
     found = sum(open_map(path).description.point_count for path in outputs)
     if found != count:
         raise LostPointsError(f"{collection.name}: {count} points read, {found} written")
+
+
+def merged_batches(
+    collection: MapCollection, max_points: int = DEFAULT_BATCH
+) -> Iterator[PointBatch]:
+    """Yield the points of all files as `output.merge` writes them: in the map's frame."""
+    metres = 1.0 if collection.metres is None else collection.metres
+    for file, batch in collection.batches(max_points):
+        if not collection.is_moved:
+            yield batch
+            continue
+        moved = collection.readers[file].moved(batch.records, batch.xyz / metres)
+        yield replace(batch, records=moved)
 
 
 def write_labels(cleaned: CleanedMap, path: Path) -> None:

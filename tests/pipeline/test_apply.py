@@ -16,9 +16,15 @@ from pipeline.areas import read_areas
 from pipeline.commands.options import part_settings
 from pipeline.configuration.run import load_configuration
 from pipeline.eligibility import RIM
-from pipeline.errors import ConfigurationError, InputChangedError, OutputError
+from pipeline.errors import (
+    ConfigurationError,
+    InputChangedError,
+    OutputError,
+    VerificationError,
+)
 from pipeline.progress import Display, StageObserver
 from pipeline.run import run
+from pipeline.verifying import verify
 
 FAST = [
     "neighbours.k=12", "clustering.count=3", "execution.cluster=none",
@@ -106,6 +112,7 @@ def test_to_decide_again_is_to_run_again(map_file, tmp_path, way, tiles):
     protect = f"removal.protect={json.dumps([area.model_dump()])}"
     cleaned(map_file, tmp_path / "anew", *WAYS[way], *tiles, *OTHER[way], protect)
     assert_same_folders(tmp_path / "again", tmp_path / "anew")
+    assert "labels follow" in verify(tmp_path / "anew")
     before = (tmp_path / "first/static.las").read_bytes()
     applied(
         tmp_path / "again",
@@ -135,6 +142,12 @@ def test_what_is_protected_stays_however_the_map_is_cut(map_file, tmp_path, way)
     assert_same_folders(tmp_path / "whole", tmp_path / "cut")
     applied(tmp_path / "cut", tmp_path / "again")
     assert_same_folders(tmp_path / "whole", tmp_path / "again")
+    assert "labels follow" in verify(tmp_path / "whole")
+    stored = json.loads((tmp_path / "cut/run.json").read_text())
+    stored["configuration"]["removal"] |= {"protect": [], "protect_classes": []}
+    (tmp_path / "cut/run.json").write_text(json.dumps(stored))
+    with pytest.raises(VerificationError):  # what stays has no reason to
+        verify(tmp_path / "cut")
     las = laspy.read(map_file)
     labels = labels_of(tmp_path / "whole")
     assert set(labels[las.x < 13.5 - RIM]) == {"unscored"}

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from dynahull import Label, clean
+from pipeline.apply import decide_again
 from pipeline.commands.app import app
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import EvaluationError, InputChangedError
@@ -21,6 +22,7 @@ from pipeline.outputs.reading import read_result
 from pipeline.preview import WHOLE, preview
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.verifying import verify
 from pipeline.work import job
 from pipeline.work.folder import WORK_FOLDER
 from tiling.collection import MapCollection, find_map_files
@@ -354,6 +356,26 @@ def test_scans_are_merged_into_one_file_in_the_frame_of_the_map(tmp_path, layout
     assert kept.sum() == len(batch.xyz)
     np.testing.assert_allclose(batch.xyz, WORLD[kept], atol=2e-5)
     assert len(read_result(tmp_path / "out").xyz) == FRAMES * EACH
+    assert "labels follow" in verify(tmp_path / "out")
+
+
+@pytest.mark.parametrize("labels", ["true", "false"])
+def test_a_merged_map_is_thinned_verified_and_decided_again(tmp_path, labels):
+    folder = hdl(tmp_path / "in")
+    wanted = ["output.merge=true", "output.voxel=0.5", f"output.labels={labels}"]
+    report = cleaned(folder, tmp_path / "out", *wanted)
+    assert verify(tmp_path / "out").startswith(f"{FRAMES * EACH:,} points = ")
+    (thinned,) = MapCollection([tmp_path / "out/thinned.pcd"]).readers[0].batches()
+    cells = np.floor(thinned.xyz / 0.5)
+    assert 0 < len(np.unique(cells, axis=0)) == len(cells)
+    if labels == "true":
+        observer = StageObserver(LogDisplay())
+        decide_again(tmp_path / "out", tmp_path / "again", [], [], [], observer)
+        for name in ("static.pcd", "dynamic.pcd", "thinned.pcd"):
+            assert (tmp_path / "again" / name).read_bytes() == (
+                tmp_path / "out" / name
+            ).read_bytes()
+    assert f"thinned{report.files[0].static[len('static') :]}" in report.outputs
 
 
 def test_a_merged_map_can_be_labelled(tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull import Label
-from pipeline.configuration.run import load_configuration
+from pipeline.configuration.run import OutputParameters, load_configuration
 from pipeline.outputs import thinning
 from pipeline.progress import Display, StageObserver
 from pipeline.run import run
@@ -53,7 +53,8 @@ def test_of_each_voxel_the_point_nearest_to_its_middle_stays(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(thinning, "_POINTS_A_FILE", each)
         observer = StageObserver(Display())
-        count = thinning.write_thinned(collection, labels, voxel, places, folder, observer)
+        output = OutputParameters(voxel=voxel)
+        count = thinning.write_thinned(collection, labels, output, places, folder, observer)
     rows = expected_rows(xyz, labels != Label.DYNAMIC, voxel)
     found = np.concatenate([np.load(place) for place in places])
     assert count == len(rows)
