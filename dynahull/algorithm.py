@@ -12,6 +12,7 @@ from dynahull.checking import (
     checked_mask,
     checked_observer,
     checked_points,
+    checked_poses,
     checked_scans,
     checked_threads,
     valid_points,
@@ -64,6 +65,7 @@ def clean(
     left_out: ArrayLike | None = None,
     protected: ArrayLike | None = None,
     scan: ArrayLike | None = None,
+    poses: ArrayLike | None = None,
     threads: int = 1,
     observer: Observer | None = None,
     **sections: Any,
@@ -88,6 +90,9 @@ def clean(
     scan : (N,) array_like of int, optional
         The scan in which each point was seen, numbered from 0 in the order of time, some 0.1 s
         apart; -1 where it is not known. Only `removal.decision: auto` looks at it.
+    poses : (S, 3), (S, 3, 4) or (S, 4, 4) array_like, optional
+        Where the sensor was in each scan, in the map's frame, metres: positions, or poses from the
+        sensor's frame. `scan` numbers its rows. Places that scans saw through are told by it.
     threads : int
         Threads of ground, clustering and density. The result does not depend on it.
     observer : Observer, optional
@@ -103,7 +108,7 @@ def clean(
     Raises
     ------
     InvalidPointsError
-        When `points` is not an (N, 3) array of real numbers.
+        When `points` is not an (N, 3) array of real numbers, or what is said of them does not fit.
     InvalidParametersError
         When a section or a key is unknown, or a value not allowed.
 
@@ -118,6 +123,7 @@ def clean(
     classes = None if classification is None else checked_classes(classification, len(coordinates))
     noise = None if left_out is None else checked_mask(left_out, len(coordinates))
     scans = None if scan is None else checked_scans(scan, len(coordinates))
+    sensor = None if poses is None else checked_poses(poses, scans)
     parameters = MethodParameters.chosen(parameters, sections)
     chosen = parameters.removal
     safe = protected_points(coordinates, classes, chosen.protect_classes, chosen.protect)
@@ -145,7 +151,7 @@ def clean(
     density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
     judged = Judged.nothing(len(coordinates))
     if parameters.removal.weighs_evidence:
-        judged = _weighed(coordinates, rows, density, membership, spreads, aside, scans,
+        judged = _weighed(coordinates, rows, density, membership, spreads, aside, scans, sensor,
                           parameters, threads, observer)  # fmt: skip
     removals = _removals(density, judged, membership, percentages, parameters, safe, observer)
     summaries = _summaries(clusters, membership, percentages, removals)
@@ -261,6 +267,7 @@ def _weighed(
     spreads: Sequence[NDArray[np.float32]],
     aside: SetAside,
     scans: NDArray[np.int32] | None,
+    sensor: NDArray[np.float64] | None,
     parameters: MethodParameters,
     threads: int,
     observer: Observer,
@@ -281,7 +288,7 @@ def _weighed(
     unscored = aside.ground | aside.above
     their_scans = None if scans is None else scans[unscored]
     k = parameters.neighbours.k
-    found = judge_points(scored, points[unscored], k, threads, their_scans)
+    found = judge_points(scored, points[unscored], k, threads, their_scans, sensor)
     judged = Judged.nothing(len(points))
     judged.score[rows], judged.reason[rows] = found.score, found.reason
     observer.advance(len(rows))

@@ -151,6 +151,32 @@ def checked_scans(scan: ArrayLike, count: int) -> NDArray[np.int32]:
     return scans.astype(np.int32)
 
 
+def checked_poses(poses: ArrayLike, scan: NDArray[np.int32] | None) -> NDArray[np.float64]:
+    """Return where the sensor was in each scan, (S, 3), from positions or poses.
+
+    Raises
+    ------
+    InvalidPointsError
+        When they are anything else, or there is none for a scan number.
+    """
+    places = np.asarray(as_array(poses, "poses", "a position or a pose for each scan"))
+    if places.dtype.kind not in "iuf" or not (
+        (places.ndim == 2 and places.shape[1] == 3)
+        or (places.ndim == 3 and places.shape[1:] in ((3, 4), (4, 4)))
+    ):
+        raise InvalidPointsError(
+            "poses: expected numbers of shape (S, 3), (S, 3, 4) or (S, 4, 4), found shape "
+            f"{places.shape} of {places.dtype}"
+        )
+    if scan is None:
+        raise InvalidPointsError("poses: expected scan as well, the row of poses of each point")
+    if len(scan) and scan.max() >= len(places):
+        raise InvalidPointsError(
+            f"poses: expected one for each scan number up to {scan.max()}, found {len(places)}"
+        )
+    return np.ascontiguousarray(places if places.ndim == 2 else places[:, :3, 3], np.float64)
+
+
 def checked_threads(threads: int) -> int:
     """Return a number of threads.
 

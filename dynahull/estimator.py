@@ -97,7 +97,13 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         self.confidence = confidence
         self.configuration = configuration
 
-    def fit(self, X: ArrayLike, y: None = None, scan: ArrayLike | None = None) -> Self:  # noqa: N803
+    def fit(
+        self,
+        X: ArrayLike,  # noqa: N803
+        y: None = None,
+        scan: ArrayLike | None = None,
+        poses: ArrayLike | None = None,
+    ) -> Self:
         """Label every point of a map.
 
         Parameters
@@ -106,7 +112,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
             The map, in metres.
         y : None
             Ignored.
-        scan : (n_samples,) array_like of int, optional
+        scan, poses : array_like, optional
             See `dynahull.clean`.
 
         Returns
@@ -121,7 +127,7 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
                 f"{remedy(points.shape, 'X')}"
             )
         parameters = self._parameters()
-        result = clean(points, parameters, scan=scan)
+        result = clean(points, parameters, scan=scan, poses=poses)
         self.labels_ = np.where(result.kept, 1, -1)
         self.density_ = result.density
         self.score_ = result.score
@@ -141,13 +147,14 @@ class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped ba
         y : None
             Ignored.
         **kwargs
-            `scan`, as `fit` takes it; others that scikit-learn's meta-estimators pass are ignored.
+            `scan` and `poses`, as `fit` takes them; others that scikit-learn's meta-estimators pass
+            are ignored.
 
         Returns
         -------
         (n_samples,) int array
         """
-        return np.asarray(self.fit(X, scan=kwargs.get("scan")).labels_)
+        return np.asarray(self.fit(X, scan=kwargs.get("scan"), poses=kwargs.get("poses")).labels_)
 
     def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:  # noqa: N803
         """Measure the density of the fitted map around any points: low where ghosts are.

@@ -53,6 +53,7 @@ def clean_in_memory(
         left_out=unwanted if count else None,
         protected=marked == PROTECTED,
         scan=scan,
+        poses=None if source is None else source.sensor(collection),
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )

@@ -16,11 +16,13 @@ from pydantic import BaseModel, ConfigDict
 from dynahull.progress import Observer
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError
+from pipeline.pose_numbers import nearest_poses, numbers_of_poses
 from pipeline.row_order import rows_of_a_scan
 from tiling.collection import MapCollection
 from tiling.errors import MapFormatError
 from tiling.foreign_text import printable
 from tiling.formats.points import PointBatch
+from tiling.key_frames import ScanPoses
 
 AUTO, OFF = "auto", "off"
 
@@ -75,6 +77,8 @@ class ScanSource(BaseModel):
         For each file, what number 0 stands for: tenths of a second, or a scan number.
     rows : int
         Rows that are taken for a scan.
+    of_poses : tuple of int
+        What number each pose of the map has, ascending: scans are numbered by their poses then.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -85,12 +89,14 @@ class ScanSource(BaseModel):
     tenth: float = 0.0
     firsts: tuple[int, ...] = ()
     rows: int = 0
+    of_poses: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         if self.kind == "field":
-            return f"{printable(self.name)}, {self.scans:,} scans"
+            posed = " with poses" if self.of_poses else ""
+            return f"{printable(self.name)}, {self.scans:,} scans{posed}"
         if self.kind == "files":
-            return f"key frames, {self.scans:,} scans"
+            return f"key frames, {self.scans:,} scans with poses"
         return f"order of the rows, about {self.scans:,} scans"
 
     def numbers(self, collection: MapCollection, file: int, batch: PointBatch) -> NDArray[np.int32]:
@@ -107,13 +113,26 @@ class ScanSource(BaseModel):
         """
         count = len(batch.xyz)
         if self.kind == "files":
-            return np.full(count, file, np.int32)  # the numbers of `ScanPoses`
+            return np.full(count, file, np.int32)
         if self.kind == "rows":
             row = batch.first_row - collection.first_rows[file] + np.arange(count)
             return (self.firsts[file] + row // self.rows).astype(np.int32)
         found = _whole(collection.readers[file].values(batch.records, self.name), self.tenth)
         known = found != _UNKNOWN
-        return np.where(known, found - self.firsts[file], -1).astype(np.int32)
+        number = np.where(known, found - self.firsts[file], -1)
+        if self.of_poses:
+            number = nearest_poses(number, self.of_poses, exact=not self.tenth)
+        return number.astype(np.int32)
+
+    def sensor(self, collection: MapCollection) -> NDArray[np.float64] | None:
+        """Return where the sensor was in each scan, (S, 3), metres; None where nobody tells."""
+        poses = collection.poses
+        if poses is None or not (self.kind == "files" or self.of_poses):
+            return None
+        places = np.ascontiguousarray(poses.poses[:, :, 3])
+        if poses.are_of_files or collection.metres is None:
+            return places
+        return np.asarray(places * collection.metres)
 
 
 def find_scans(
@@ -145,23 +164,56 @@ def find_scans(
     check_time(collection, configuration)
     if wanted == OFF or not collection.point_count:
         return None
-    if wanted == AUTO and collection.poses is not None:
+    poses = collection.poses
+    of_map = poses is not None and not poses.are_of_files
+    if wanted == AUTO and poses is not None and not of_map:
         return ScanSource(kind="files", scans=len(collection.readers))
     names = candidates(collection) if wanted == AUTO else [wanted]
     if names and observer is not None:
         observer.stage("times", collection.point_count)
-    given = wanted != AUTO
-    for tally in _tallies(collection, names, given, observer):
-        source = tally.source()
-        if source is not None:
-            return source
-    if given:
-        if observer is not None:
-            observer.warn(
-                f"evidence.time: {wanted} has not the {_LEAST_SCANS} different scans, or tenths of "
-                "a second, that tell when points were seen: not used"
-            )
-        return None
+    given = wanted != AUTO or of_map
+    found = [
+        (tally, source)
+        for tally in _tallies(collection, names, given, observer)
+        if (source := tally.source()) is not None
+    ]
+    if poses is not None and of_map:
+        return _with_poses(found, poses, collection)
+    if found:
+        return found[0][1]
+    if not given:
+        return _of_rows(collection)
+    if observer is not None:
+        observer.warn(
+            f"evidence.time: {wanted} has not the {_LEAST_SCANS} different scans, or tenths of "
+            "a second, that tell when points were seen: not used"
+        )
+    return None
+
+
+def _with_poses(
+    found: "Sequence[tuple[_Tally, ScanSource]]", poses: ScanPoses, collection: MapCollection
+) -> ScanSource:
+    """Return the first source that the poses go with, its scans numbered by them."""
+    refused: list[ConfigurationError] = []
+    for tally, source in found:
+        try:
+            first, of_poses = numbers_of_poses(poses, tally.seen, source.name, source.tenth > 0)
+        except ConfigurationError as error:
+            refused.append(error)
+            continue
+        firsts = (first,) * len(collection.readers)
+        return source.model_copy(update={"firsts": firsts, "of_poses": of_poses})
+    if refused:
+        raise refused[0]
+    raise ConfigurationError(
+        "input.poses: expected scans, or a map whose points have a scan number or a time, found "
+        f"neither in {collection.name}"
+    )
+
+
+def _of_rows(collection: MapCollection) -> ScanSource | None:
+    """Return the order of the rows as a source of scan numbers, if it is one."""
     rows = rows_of_a_scan(collection)
     if not rows:
         return None

@@ -40,21 +40,25 @@ class ScanPoses:
 
     Attributes
     ----------
-    numbers : (n,) int32 array
-        Of the scans, in the order of time: those of the map's files.
     poses : (n, 3, 4) float64 array
-        From the sensor's frame to the map's, metres.
+        From the sensor's frame to the map's, metres; in the order of time.
     are_applied : bool
         Whether the points are in the map's frame already.
+    are_of_files : bool
+        Whether each file of the map is one of the scans; else the map's points tell their scans.
+    times : (n,) float64 array or None
+        Seconds, where they are told.
     """
 
-    numbers: NDArray[np.int32]
     poses: Matrices
     are_applied: bool = False
+    are_of_files: bool = True
+    times: NDArray[np.float64] | None = None
 
     def hashed(self, digest: str = "") -> str:
         """Return the hash of the poses and of a digest, in hexadecimal."""
         told = digest.encode() + bytes([self.are_applied]) + self.poses.astype("<f8").tobytes()
+        told += b"" if self.times is None else self.times.astype("<f8").tobytes()
         return hashlib.sha256(told).hexdigest()
 
     def to_map(self, file: int, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -89,7 +93,8 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
     readers : sequence of MapReader
         Of the files.
     given : Path, optional
-        A file of poses, see `read_poses`, in the place of what lies beside the scans.
+        A file of poses, see `read_poses`, in the place of what lies beside the scans; or those of
+        the scans that a map was made of, where its files are not these scans.
 
     Raises
     ------
@@ -100,25 +105,28 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
     parents = {path.parent for path in paths}
     parent = paths[0].parent
     if given is not None:
-        return _of(_matched(paths, read_poses(given), given))
+        poses, times = read_poses(given)
+        if len(paths) != len(poses) and not all(path.stem.isdigit() for path in paths):
+            return ScanPoses(poses, are_applied=True, are_of_files=False, times=times)
+        return ScanPoses(_matched(paths, poses, given))
     framed = all(path.name == "cloud.pcd" and path.parent.name.isdigit() for path in paths)
     if framed and any(path.with_name("data").is_file() for path in paths):
-        return _of(np.array([_estimate(path.parent / "data") for path in paths]))
+        return ScanPoses(np.array([_estimate(path.parent / "data") for path in paths]))
     several = len(paths) > 1 or paths[0].stem.isdigit()
     if several and len(parents) == 1 and parent.name in _SCAN_FOLDERS:
         file = _pose_file(parent.parent)
         if file is not None:
-            poses = _matched(paths, read_poses(file), file)
+            poses = _matched(paths, read_poses(file)[0], file)
             calibration = parent.parent / "calib.txt"
             is_kitti = parent.name == _SCAN_FOLDERS[0] and calibration.is_file()
-            return _of(_of_scanner(poses, calibration) if is_kitti else poses)
+            return ScanPoses(_of_scanner(poses, calibration) if is_kitti else poses)
     if len(paths) > 1 and all(path.suffix.lower() == ".bin" for path in paths):
         raise MapFormatError(parent, "poses of the scans beside them, or input.poses", "none")
     return _of_viewpoints(readers)
 
 
-def read_poses(path: Path) -> Matrices:
-    """Read a file of one pose a line, from sensor to map, (n, 3, 4).
+def read_poses(path: Path) -> tuple[Matrices, NDArray[np.float64] | None]:
+    """Read a file of one pose a line, from sensor to map, (n, 3, 4), and their times, if told.
 
     Lines have 12 numbers, the matrix row by row (KITTI), 13 with the time before them, or 8: time,
     position, and quaternion with w last (TUM).
@@ -141,11 +149,8 @@ def read_poses(path: Path) -> Matrices:
         poses = lines[:, -12:].reshape(-1, 3, 4)
     else:
         raise MapFormatError(path, expected, f"{len(lines)} lines of {lines.shape[1]}")
-    return _checked(poses, path)
-
-
-def _of(poses: Matrices, are_applied: bool = False) -> ScanPoses:
-    return ScanPoses(np.arange(len(poses), dtype=np.int32), poses, are_applied)
+    times = None if lines.shape[1] == 12 else lines[:, 0]
+    return _checked(poses, path), times
 
 
 def _pose_file(folder: Path) -> Path | None:
@@ -207,7 +212,7 @@ def _of_viewpoints(readers: Sequence[MapReader]) -> ScanPoses | None:
         return None
     values = np.array(told)
     poses = _checked(_of_quaternions(values[:, :3], values[:, 3:]), readers[0].description.path)
-    return _of(poses, not _are_around_origin(readers, poses))
+    return ScanPoses(poses, not _are_around_origin(readers, poses))
 
 
 def _are_around_origin(readers: Sequence[MapReader], poses: Matrices) -> bool:

@@ -38,19 +38,20 @@ def methods() -> Iterator[Method]:
             seen.append(parameters)
             yield _method(f"DynaHull, {name}", parameters)
             if parameters.removal.weighs_evidence:
-                yield _method(f"DynaHull, {name}, scan numbers", parameters, timed=True)
+                yield _method(f"DynaHull, {name}, scan numbers", parameters, told=("scan",))
+                yield _method(f"DynaHull, {name}, poses", parameters, told=("scan", "poses"))
     for name, settings in _WITHOUT_STEPS.items():
         yield _method(f"DynaHull, {name}", load_configuration(_PAPER, settings).method())
 
 
-def _method(name: str, parameters: MethodParameters, *, timed: bool = False) -> Method:
+def _method(name: str, parameters: MethodParameters, told: tuple[str, ...] = ()) -> Method:
     def load() -> Removal:
         clean(np.random.default_rng(0).normal(size=(1000, 3)), parameters)  # compiles
 
         def remove(scene: Scene) -> NDArray[np.bool_]:
             threads = len(os.sched_getaffinity(0))
-            scan = scene.scan if timed else None
-            return ~clean(scene.xyz, parameters, scan=scan, threads=threads).kept
+            more = {each: getattr(scene, each) for each in told}
+            return ~clean(scene.xyz, parameters, threads=threads, **more).kept
 
         return remove
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from dynahull.algorithm import find_clusters, set_ground_aside
 from dynahull.density import SPREAD_COLUMNS, cluster_densities
 from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
-from dynahull.evidence.terms import TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.terms import POSED_TERMS, TERMS, evidence
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
@@ -58,8 +59,8 @@ class TrainingMap:
         Of the points that are scored.
     truth : (n,) int8 array
         `UNKNOWN`, `STATIC` or `MOVED`.
-    terms : (n, len(TERMS)) or (n, len(TIMED_TERMS)) float32 array
-        Read from its file as it is asked for; the latter where the scans are known.
+    terms : (n, len(TERMS)) or (n, len(POSED_TERMS)) float32 array
+        Read from its file as it is asked for; the latter where scans and poses are known.
     unscored_static, unscored_moved : int
         Points that no decision can take: ground.
     """
@@ -88,8 +89,7 @@ def _make(folder: Path, seed: int) -> list[str]:
     if done.exists():
         return list(json.loads(done.read_text(encoding="utf-8")))
     random = np.random.default_rng(seed)
-    made = _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
-    whole = _window(made, random)
+    whole = _window(_simulated(seed, random), random)
     names = []
     for letter, variant in {"a": whole, "b": _variant(whole, random)}.items():
         name = f"{seed:05d}{letter}"
@@ -101,21 +101,49 @@ def _make(folder: Path, seed: int) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A simulated map; `scan` is None where a voxel filter mixed the scans."""
+    """A simulated map, or a part of it, and the scans that it was made of.
+
+    `scan` is None where a voxel filter mixed the scans. What `scans` saw goes beyond the part.
+    """
 
     xyz: NDArray[np.float64]
     truth: NDArray[np.int8]
     scan: NDArray[np.int32] | None
+    scans: "_Scans"
     kind: str
     sensor: str
 
 
+@dataclass(frozen=True, slots=True)
+class _Scans:
+    """All points of a simulated map, the scan of each, and where the sensor was in each scan."""
+
+    xyz: NDArray[np.float64]
+    scan: NDArray[np.int32]
+    places: NDArray[np.float64]
+
+    def thinned(self, share: float, random: np.random.Generator) -> "_Scans":
+        keep = random.random(len(self.xyz)) < share
+        return replace(self, xyz=self.xyz[keep], scan=self.scan[keep])
+
+    def views(self) -> Views:
+        parts = [(self.xyz, self.scan)]
+        return Views(self.places, partial(draw_images, parts, self.places))
+
+
+def _simulated(seed: int, random: np.random.Generator) -> _Made:
+    return _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
+
+
 def _meshes(seed: int) -> _Made:
     parameters = random_parameters(seed)
-    points = simulate_meshes(parameters).points
+    made = simulate_meshes(parameters)
+    points = made.points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
+    xyz = points.xyz.astype(np.float32).astype(np.float64)  # as files of maps hold them
+    scans = _Scans(xyz, points.scan, made.poses[:, :, 3])
     scan = _scan_numbers(seed, points.scan) if parameters.voxel == 0 else None
-    return _Made(points.xyz, truth, scan, str(parameters.kind), str(parameters.sensor))
+    return _Made(xyz, truth, scan, scans, str(parameters.kind), str(parameters.sensor))
 
 
 def _scan_numbers(seed: int, scan: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
@@ -144,8 +172,10 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
         )
     )
     truth = np.where(made.moving, MOVED, STATIC).astype(np.int8)
+    xyz = made.xyz.astype(np.float64)
+    scans = _Scans(xyz, made.scan.astype(np.int32), made.estimated_poses[:, :, 3])
     scan = _scan_numbers(seed, made.scan)
-    return _Made(made.xyz.astype(np.float64), truth, scan, f"boxes_{kind}", "boxes")
+    return _Made(xyz, truth, scan, scans, f"boxes_{kind}", "boxes")
 
 
 def _window(made: _Made, random: np.random.Generator) -> _Made:
@@ -187,10 +217,12 @@ def _variant(made: _Made, random: np.random.Generator) -> _Made:
     if chance < 0.35 and made.scan is not None:
         xyz, truth = _voxel_filter(xyz, truth, float(random.choice([0.03, 0.05, 0.05, 0.1])))
         return replace(made, xyz=xyz, truth=truth, scan=None)
-    keep = random.random(len(xyz)) < random.uniform(0.15, 0.6)
+    share = random.uniform(0.15, 0.6)
+    keep = random.random(len(xyz)) < share
     noise = random.uniform(0.005, 0.025) if chance < 0.7 else 0.0
     noisy = xyz[keep] + random.normal(size=(int(keep.sum()), 3)) * noise
-    return _of(made, noisy, truth[keep], keep)
+    thinned = _of(made, noisy, truth[keep], keep)
+    return replace(thinned, scans=made.scans.thinned(share, random))
 
 
 def _voxel_filter(
@@ -218,8 +250,9 @@ def _measure(path: Path, made: _Made) -> bool:
     if scan is not None:
         points = replace(points, scan=scan[rows])
     ground = summarise_ground(xyz[aside], None if scan is None else scan[aside])
-    surroundings = Surroundings.of(Voxels.merged([summarise_points(points), ground]))
-    count = len(TERMS if scan is None else TIMED_TERMS)
+    views = None if scan is None else made.scans.views()
+    surroundings = Surroundings.of(Voxels.merged([summarise_points(points), ground]), views)
+    count = len(TERMS if scan is None else POSED_TERMS)
     terms = np.lib.format.open_memmap(
         path.with_suffix(".terms.npy"), "w+", np.float32, (len(points), count)
     )

@@ -7,7 +7,7 @@ a file.
 
 import json
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.resources import files
 from typing import Any, Self
 
@@ -19,6 +19,7 @@ from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Floats, Voxels
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.reasons import NO_REASON, reasons
 from dynahull.evidence.summaries import (
     ScoredPoints,
@@ -27,7 +28,7 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings, Terms
-from dynahull.evidence.terms import TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.terms import POSED_TERMS, TERMS, TIMED_TERMS, evidence
 from dynahull.evidence.visits import Scans
 from dynahull.threads import over_ranges
 
@@ -68,6 +69,16 @@ TIMED_KEPT_TERMS = (
 )
 """The same, of a map whose scans are known."""
 
+POSED_KEPT_TERMS = (
+    *TIMED_KEPT_TERMS,
+    "clearly_0.1",
+    "met_0.1",
+    "clear_share_0.3",
+    "through_share_0.3",
+    "clear_share_1.2",
+)
+"""The same, of a map whose scans and poses are known."""
+
 
 @dataclass(frozen=True, slots=True)
 class AskedTerms:
@@ -96,6 +107,11 @@ MAP_ONLY = AskedTerms.of(TERMS, KEPT_TERMS)
 TIMED = AskedTerms.of(TIMED_TERMS, TIMED_KEPT_TERMS)
 """What is asked of a map whose scans are known."""
 
+POSED = AskedTerms.of(POSED_TERMS, POSED_KEPT_TERMS)
+"""What is asked of a map whose scans and poses are known."""
+
+MODEL_FILES = {MAP_ONLY: "model.json", TIMED: "timed_model.json", POSED: "posed_model.json"}
+
 _BATCH = 50_000
 """Points whose terms are held at a time."""
 
@@ -107,7 +123,7 @@ class FirstRound:
     Attributes
     ----------
     log_odds : (n,) float32 array
-    kept : (n, len(KEPT_TERMS)) or (n, len(TIMED_KEPT_TERMS)) float32 array
+    kept : (n, len(AskedTerms.kept)) float32 array
         What the second round looks at again.
     reason : (n,) uint8 array
         Which of `reasons.REASONS` speaks most for a ghost.
@@ -139,7 +155,7 @@ class EvidenceModel:
     Attributes
     ----------
     first, second : Forest
-        Over the terms of `MAP_ONLY` or of `TIMED`.
+        Over the terms of one of `MODEL_FILES`.
     """
 
     first: Forest
@@ -161,7 +177,7 @@ class EvidenceModel:
         """
         first, second = Forest.of(stored["first"]), Forest.of(stored["second"])
         model = cls(first, second)
-        if model.asked not in (MAP_ONLY, TIMED):
+        if model.asked not in MODEL_FILES:
             raise InvalidParametersError(
                 "evidence model: expected the terms of this version, found others"
             )
@@ -247,6 +263,7 @@ def judge_points(
     k: int,
     threads: int = 1,
     unscored_scan: Scans | None = None,
+    sensor: Floats | None = None,
 ) -> Judged:
     """Judge all points of a map.
 
@@ -262,11 +279,17 @@ def judge_points(
         They change nothing about the result.
     unscored_scan : (m,) int32 array, optional
         Their scans, if those of the points are known.
+    sensor : (S, 3) float64 array, optional
+        Where the sensor was in each scan, if the scans are known.
     """
-    model = evidence_model(timed=points.scan is not None)
-    surroundings = Surroundings.of(
-        Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)])
-    )
+    views = None
+    if points.scan is not None and unscored_scan is not None and sensor is not None:
+        parts = [(points.xyz, points.scan), (unscored, unscored_scan)]
+        views = Views(sensor, partial(draw_images, parts, sensor))
+    model = evidence_model(MAP_ONLY if points.scan is None else TIMED if views is None else POSED)
+    voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)])
+    surroundings = Surroundings.of(voxels, views, threads)
+    del voxels
     found = model.first_round(points, k, surroundings, threads)
     del surroundings
     odds = summarise_odds(points.xyz, found.log_odds)
@@ -303,11 +326,10 @@ def probabilities(log_odds: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return found
 
 
-@lru_cache(maxsize=2)
-def evidence_model(*, timed: bool = False) -> EvidenceModel:
-    """Return the model that comes with the package, for maps whose scans are known or not."""
-    name = "timed_model.json" if timed else "model.json"
-    file = files("dynahull.evidence").joinpath(name)
+@lru_cache(maxsize=3)
+def evidence_model(asked: AskedTerms = MAP_ONLY) -> EvidenceModel:
+    """Return the model that comes with the package for what is known of a map."""
+    file = files("dynahull.evidence").joinpath(MODEL_FILES[asked])
     return EvidenceModel.of(json.loads(file.read_text(encoding="utf-8")))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.terms import TIMED_TERMS
+from dynahull.evidence.terms import POSED_TERMS
 
 REASONS: dict[str, tuple[str, ...]] = {
     "no surface: its neighbours fill a volume": (
@@ -19,6 +19,7 @@ REASONS: dict[str, tuple[str, ...]] = {
     "the floor beneath was seen through it": ("ground_seen", "ground_near"),
     "nothing close above or below": ("run", "gap", "filled"),
     "seen by fewer scans than what is around": ("scans",),
+    "scans saw through it": ("clearly", "through", "met", "clear_share", "through_share"),
 }  # fmt: skip
 """What is said, and the terms that say it: by name, or by the name without the side of a box."""
 
@@ -37,7 +38,7 @@ def _reason_of(term: str) -> int:
     raise ValueError(f"{term}: expected a reason, found none")
 
 
-_FAMILY = np.array([_reason_of(term) for term in TIMED_TERMS], np.int32)
+_FAMILY = np.array([_reason_of(term) for term in POSED_TERMS], np.int32)
 
 
 def reasons(
@@ -51,7 +52,7 @@ def reasons(
     Parameters
     ----------
     forest : Forest
-        Over `TERMS` or `TIMED_TERMS`.
+        Over `TERMS`, `TIMED_TERMS` or `POSED_TERMS`.
     terms : (n, len(forest.terms)) float32 array
     log_odds : (n,) float32 array
     """

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from dynahull.compilation import compiled
 from dynahull.evidence.lattice import Cells, Integers, Voxels, find_cell
+from dynahull.evidence.range_images import CLEARLY, MET, THROUGH, VIEWS, Views
 from dynahull.evidence.shapes import shapes_of
 from dynahull.evidence.summaries import COLUMNS, FINEST, GROUND, LEVELS, SCORED
 from dynahull.evidence.summaries import SHAPE as MOMENTS_BEGIN
@@ -25,7 +26,8 @@ EXTREME_LEVEL = 3
 COLUMN_TERMS = 6
 _STEPS = 16
 _OCCUPIED = COLUMNS
-"""Column that counts occupied voxels of the finest level; the marks of scans follow."""
+"""Column that counts occupied voxels of the finest level; what scans saw of them, and the marks of
+scans, follow."""
 
 Terms = npt.NDArray[np.float32]
 
@@ -53,6 +55,10 @@ class Level:
         Least mean thickness and largest mean density of the voxels around.
     scans : (V, len(SPANS)) float32 array or None
         Logarithms of how many scans saw the box of 3 x 3 x 3 voxels.
+    own_views : (V, 3) float32 array or None
+        Logarithms of how many scans saw clearly through the voxel, through it, and met it.
+    views : (V, 2) float32 array or None
+        Shares of the scans that saw clearly through the box of 3 x 3 x 3 voxels, and through it.
     """
 
     cells: Cells
@@ -63,6 +69,8 @@ class Level:
     columns: Terms | None = None
     extremes: Terms | None = None
     scans: Terms | None = None
+    own_views: Terms | None = None
+    views: Terms | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,12 +85,17 @@ class Surroundings:
     levels: tuple[Level, ...]
 
     @classmethod
-    def of(cls, voxels: Voxels) -> Self:
-        """Read the sums over the finest voxels: see `summaries`."""
-        occupied = (voxels.sums[:, SCORED] > 0).astype(np.int64)
-        columns = np.insert(voxels.sums, _OCCUPIED, occupied, axis=1)
-        here = type(voxels)(voxels.cells, columns)
-        del voxels  # the sums are most of what a map takes here
+    def of(cls, voxels: Voxels, views: Views | None = None, threads: int = 1) -> Self:
+        """Read the sums over the finest voxels, see `summaries`, and what scans saw of these."""
+        occupied = voxels.sums[:, SCORED] > 0
+        blocks = [voxels.sums[:, :_OCCUPIED], occupied[:, None].astype(np.int64)]
+        if views is not None:
+            seen = np.zeros((len(voxels), VIEWS), np.int64)
+            seen[occupied] = views.count(voxels.cells[occupied], FINEST, threads)
+            blocks += [seen]
+        blocks += [voxels.sums[:, _OCCUPIED:]]
+        here = type(voxels)(voxels.cells, np.concatenate(blocks, axis=1))
+        del voxels, blocks  # the sums are most of what a map takes here
         sums = here.around()
         levels = []
         for number in range(LEVELS):
@@ -103,7 +116,9 @@ class Surroundings:
                     _extremes(here.cells, here.sums, here.table)
                     if number == EXTREME_LEVEL
                     else None,
-                    scan_counts(sums[:, _OCCUPIED + 1 :]) if here.marks else None,
+                    scan_counts(sums[:, -here.marks :]) if here.marks else None,
+                    None if views is None or number else _own_views(here.sums),
+                    None if views is None else _views(sums),
                 )
             )
             here, sums = coarser, further
@@ -170,3 +185,28 @@ def _extremes(cells: Cells, sums: Integers, table: npt.NDArray[np.int32]) -> Ter
                         most = max(most, sums[n, 2] / (256.0 * sums[n, 1]))
         extremes[v, 0], extremes[v, 1] = least, most
     return extremes
+
+
+@compiled
+def _views(sums: Integers) -> Terms:
+    """Return the shares of the scans that saw clearly through, and through, and not just met it."""
+    shares = np.full((len(sums), 2), np.nan, np.float32)
+    for v in range(len(sums)):
+        met = sums[v, _OCCUPIED + 1 + MET]
+        clearly, through = sums[v, _OCCUPIED + 1 + CLEARLY], sums[v, _OCCUPIED + 1 + THROUGH]
+        if met + clearly > 0:
+            shares[v, 0] = clearly / (met + clearly)
+        if met + through > 0:
+            shares[v, 1] = through / (met + through)
+    return shares
+
+
+@compiled
+def _own_views(sums: Integers) -> Terms:
+    """Return logarithms of how many scans saw clearly through, through, and met it."""
+    counts = np.empty((len(sums), 3), np.float32)
+    for v in range(len(sums)):
+        counts[v, 0] = np.log2(1.0 + sums[v, _OCCUPIED + 1 + CLEARLY])
+        counts[v, 1] = np.log2(1.0 + sums[v, _OCCUPIED + 1 + THROUGH])
+        counts[v, 2] = np.log2(1.0 + sums[v, _OCCUPIED + 1 + MET])
+    return counts

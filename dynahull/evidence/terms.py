@@ -58,6 +58,16 @@ boxes, of how many more saw them."""
 TIMED_TERMS = (*TERMS, *SCAN_TERMS)
 """All terms of a map whose scans are known."""
 
+SEEN_TERMS = (
+    *(f"{name}_{FINEST}" for name in ("clearly", "through", "met")),
+    *(f"{name}_{box}" for box in BOXES for name in ("clear_share", "through_share")),
+)
+"""Logarithms of how many scans saw clearly through the voxel of a point, through it, and met it;
+shares of the scans that saw through boxes."""
+
+POSED_TERMS = (*TIMED_TERMS, *SEEN_TERMS)
+"""All terms of a map that is known to have been seen from where."""
+
 _OWN_SCANS = len(SPANS)
 
 RISING = (
@@ -65,9 +75,10 @@ RISING = (
     "flatness",
     *(name for name in TERMS if name.startswith("box_flat")),
     *SCAN_TERMS[_OWN_SCANS:],
+    *(name for name in SEEN_TERMS if not name.startswith("met")),
 )
-"""Terms that never speak against a ghost as they grow: what is less flat, or seen less than what is
-around."""
+"""Terms that never speak against a ghost as they grow: what is less flat, seen less than what is
+around, or seen through."""
 
 FALLING = (
     "aloft",
@@ -91,7 +102,7 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
 
     Returns
     -------
-    (n, len(TERMS)) or (n, len(TIMED_TERMS)) float32 array
+    (n, len(TERMS)), (n, len(TIMED_TERMS)) or (n, len(POSED_TERMS)) float32 array
         NaN where there is nothing to tell.
     """
     log_density, log_thickness = points.log_density(), points.log_thickness()
@@ -99,6 +110,7 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
     blocks = [own, floor_terms(points.xyz, points.height, own[:, 6], surroundings)]
     cells = cells_of(points.xyz, FINEST)
     scans: list[Terms] = []
+    views: list[Terms] = []
     for number, level in enumerate(surroundings.levels):
         at = places_of(cells >> number, level.cells, level.table)
         means = level.means.take(at, axis=0)
@@ -114,7 +126,10 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
         if level.scans is not None:
             seen = level.scans.take(at, axis=0)
             scans += [seen - scans[0] if scans else seen]
-    return np.concatenate([*blocks, *scans], axis=1, dtype=np.float32)
+        for more in (level.own_views, level.views):
+            if more is not None:
+                views += [more.take(at, axis=0)]
+    return np.concatenate([*blocks, *scans, *views], axis=1, dtype=np.float32)
 
 
 @compiled

@@ -51,7 +51,9 @@ def run_command(
     ] = None,
     poses: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="Poses of the scans, KITTI or TUM (input.poses)."),
+        typer.Option(
+            metavar="FILE", help="Poses of the scans, also of those in a map (input.poses)."
+        ),
     ] = None,
     scheduler: Scheduler = None,
     cluster: ClusterName = None,

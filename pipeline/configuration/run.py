@@ -180,8 +180,9 @@ class InputParameters(BaseModel):
     )
     poses: Annotated[str, AfterValidator(_absolute)] | None = Field(
         None,
-        description="File of the poses of a folder of scans: lines of 12 numbers (KITTI) or 8 "
-        "(TUM). null: what lies beside them.",
+        description="File of the poses of a folder of scans, or of the scans that a map was made "
+        "of, whose points have a scan number or a time: lines of 12 numbers (KITTI), 13 (with the "
+        "time before) or 8 (TUM). null: what lies beside the scans.",
     )
     leave_out: tuple[AnyClass, ...] = Field(
         (7, 18),

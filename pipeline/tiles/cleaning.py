@@ -29,6 +29,7 @@ from pipeline.tiles.ground import SAMPLE_NAMES
 from pipeline.tiles.labelling import RowResults, save_cuts
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.thresholds import Cut, find_cuts
+from pipeline.tiles.weighing import draw_range_images
 from pipeline.work.files import write_arrays, write_sealed
 from pipeline.work.folder import TaskReport, remove_work
 from pipeline.work.job import (
@@ -87,6 +88,7 @@ def clean_tiles(
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
     if job.configuration.removal.weighs_evidence:
+        draw_range_images(job)
         reports = do_stage(job, executor, observer, "evidence", tiles)
         wide, scored = np.sum([report.counts for _, report in reports], axis=0)
         job.remove_spent("spread")

@@ -1,11 +1,14 @@
 """The task that scores one tile."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters
 from dynahull.density import SPREAD_COLUMNS
 from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.range_images import Returns
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.labels import Label
 from dynahull.warn import density_levels
@@ -21,8 +24,10 @@ from pipeline.tiles.ground import (
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
+from tiling.chunk_store import Chunk
 
 VOXELS = "voxels"
+RETURNS = ("pixel", "range")
 
 _NEIGHBOURS_WITHIN = 2.0
 """Metres around a part of a tile that most neighbours are found in; the others are looked for."""
@@ -37,6 +42,7 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     """
     chunk, labels = labelled_points(job, tile)
     weighs = job.configuration.removal.weighs_evidence
+    returns = _returns_of(job, chunk)
     unscored = chunk.core & (labels != Label.STATIC)
     voxels = []
     if weighs:
@@ -76,7 +82,7 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         voxels.append(summarise_points(points))
         summed = Voxels.merged(voxels).to_arrays(VOXELS)
         job.work.make("spread")
-        job.work.save("spread", tile, spread=points.spread, **summed)
+        job.work.save("spread", tile, spread=points.spread, **summed, **returns)
     order = np.argsort(cluster, kind="stable")
     job.work.save(
         "density",
@@ -89,6 +95,15 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     )
     counts = np.bincount(cluster, minlength=len(clusters.centroids))
     return TaskReport(int(job.store.layout.counts[tile]), (finished_elsewhere, *counts.tolist()))
+
+
+def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:
+    """Return what the points of a tile's core say of the scans' range images."""
+    scans = None if job.sensor is None else job.scans_of(chunk.rows[chunk.core])
+    if scans is None or job.sensor is None:
+        return {}
+    returns = Returns.of(chunk.xyz[chunk.core], scans, job.sensor)
+    return dict(zip(RETURNS, (returns.pixel, returns.range), strict=True))
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:

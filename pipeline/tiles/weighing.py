@@ -5,15 +5,20 @@ A tile reduces its points to voxels once, and reads those of the tiles around: s
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.model import (
+    MAP_ONLY,
+    POSED,
+    TIMED,
     EvidenceModel,
     FirstRound,
     Judged,
     evidence_model,
     final_scores,
 )
+from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Returns, Views
 from dynahull.evidence.summaries import (
     REACH,
     ScoredPoints,
@@ -24,11 +29,13 @@ from dynahull.evidence.summaries import (
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.borders import Region
-from pipeline.tiles.density import VOXELS, scores_of
+from pipeline.tiles.density import RETURNS, VOXELS, scores_of
 from pipeline.tiles.division import divided
 from pipeline.tiles.ground import heights_of, own_points, summaries
+from pipeline.work.files import make_rows, open_rows
 from pipeline.work.folder import TaskReport
-from pipeline.work.job import Job
+from pipeline.work.job import IMAGING, Job
+from tiling.ledger import note_file, noting
 
 _ODDS = "odds"
 _FIRST = ("log_odds", "kept", "reason")
@@ -50,7 +57,9 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     everywhere = Region(np.full(2, -np.inf), np.full(2, np.inf))
     for box in divided(everywhere, xyz, sides):
         own = box.holds(xyz)
-        surroundings = Surroundings.of(_around(job, tile, box, "spread", VOXELS, kind))
+        voxels = _around(job, tile, box, "spread", VOXELS, kind)
+        surroundings = Surroundings.of(voxels, _views(job))
+        del voxels
         found.put(own, model.first_round(points.part(own), k, surroundings))
     kept = {name: getattr(found, name) for name in _FIRST}
     odds = summarise_odds(xyz, found.log_odds)
@@ -70,8 +79,36 @@ def judge_tile(job: Job, tile: int) -> Judged:
     return Judged(final_scores(_model(job), xyz, density, found, odds), found.reason)
 
 
+def draw_range_images(job: Job) -> None:
+    """Draw the range images of all scans from what the tiles say of them: see `range_images`."""
+    if job.sensor is None or job.work.has_done(IMAGING) or job.is_spent("spread"):
+        return
+    path = job.rows_path("images")
+    with noting() as written:
+        make_rows(path, len(job.sensor) * PIXELS, np.uint16, NOTHING)
+        images = open_rows(path, np.uint16, "r+")
+        for tile in range(len(job.store.layout)):
+            Returns(*job.work.load("spread", tile, *RETURNS)).put_into(images)
+        if isinstance(images, np.memmap):
+            images.flush()
+        note_file(path)
+    job.work.finish_step(IMAGING, written)
+
+
+def _views(job: Job) -> Views | None:
+    if job.sensor is None:
+        return None
+
+    def images_of(rows: NDArray[np.intp]) -> Images:
+        images = open_rows(job.rows_path("images"), np.uint16).reshape(-1, PIXELS)
+        return np.asarray(images[rows])
+
+    return Views(job.sensor, images_of)
+
+
 def _model(job: Job) -> EvidenceModel:
-    return evidence_model(timed=job.scan_source is not None)
+    timed = MAP_ONLY if job.scan_source is None else TIMED
+    return evidence_model(timed if job.sensor is None else POSED)
 
 
 def _around(job: Job, tile: int, box: Region, stage: str, name: str, kind: type[Voxels]) -> Voxels:

@@ -28,9 +28,11 @@ CHUNKS_FOLDER = "tiles"
 DECODED_FILE = "map.decoded"
 SCANS_FILE = "scans.json"
 
-TIMING, PLANNING, FITTING, CREATING = "times", "plan", "clustering", "outputs"
+TIMING, PLANNING, FITTING, IMAGING, CREATING = STEPS = (
+    "times", "plan", "clustering", "images", "outputs",
+)  # fmt: skip
 """Steps that are about the whole map and are not shared out: what tells when points were seen,
-tiles, clusters, outputs in parts."""
+tiles, clusters, range images, outputs in parts."""
 
 LAST_READ_BY = {"cut": "chunk", "columns": "ground", "spread": "evidence"}
 """Folders of what is large and soon needed no more, and the stage that is the last to read it."""
@@ -144,6 +146,12 @@ class Job:
         stored = read_sealed(path)["source"] if path.exists() else None
         return None if stored is None else ScanSource.model_validate(stored)
 
+    @cached_property
+    def sensor(self) -> NDArray[np.float64] | None:
+        """Where the sensor was in each scan, (S, 3), metres, if that is known."""
+        source = self.scan_source
+        return None if source is None else source.sensor(self.collection)
+
     def scans_of(self, rows: NDArray[np.int64]) -> NDArray[np.int32] | None:
         """Return the scan number of some rows, -1 where not known; None where nothing tells."""
         if self.scan_source is None:
@@ -172,7 +180,7 @@ class Job:
                 path.unlink()
 
     def rows_path(self, name: str) -> Path:
-        """Return the file of one value a row: `label`, `cluster`, `density`, `class` or `scan`."""
+        """Return the file of one value a row: `label`, `density`, `scan` and so on."""
         return self.root / f"{name}.rows"
 
 

@@ -19,7 +19,7 @@ from pipeline.configuration.run import Configuration
 from pipeline.progress import StageObserver
 from pipeline.work.files import read_if_whole
 from pipeline.work.folder import is_self_contained, remove, remove_work, stages_begun
-from pipeline.work.job import CHUNKS_FOLDER, CREATING, FITTING, JOB_FILE, PLANNING, TIMING, Job
+from pipeline.work.job import CHUNKS_FOLDER, JOB_FILE, PLANNING, STEPS, Job
 from pipeline.work.map_state import MapState
 from tiling.ledger import Written
 
@@ -113,7 +113,7 @@ class _Verification:
 
     def all(self) -> None:
         """Look through all that the rest of the run needs."""
-        steps = [self._work.step_path(step) for step in (TIMING, PLANNING, FITTING, CREATING)]
+        steps = [self._work.step_path(step) for step in STEPS]
         self._check([path for path in steps if path.exists()])
         for stage in ("write", "label", "evidence", "density", "height", "ground", "columns"):
             self._check(self._markers(stage), self._matters)

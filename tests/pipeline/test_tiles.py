@@ -19,6 +19,7 @@ from pipeline.places import DecisionSums
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
+from pipeline.units import open_collection
 from tiling.collection import MapCollection
 from tiling.errors import GridError
 
@@ -49,18 +50,19 @@ def tiled(maps, folder, max_points, *wanted):
 
 def in_memory(maps, *wanted):
     """What `dynahull.clean` says of the coordinates, and scans, that the files hold."""
-    collection = MapCollection([Path(path) for path in maps])
+    configuration = load_configuration(None, [*FAST, *wanted])
+    collection = open_collection([Path(path) for path in maps], configuration.input)
     numbered = list(collection.batches())
     batches = [batch for _, batch in numbered]
     xyz = np.concatenate([np.empty((0, 3)), *(batch.xyz for batch in batches)])
-    classes, scan = None, None
+    classes, scan, poses = None, None, None
     if collection.has_classification:
         classes = np.concatenate([batch.classification for batch in batches])
-    configuration = load_configuration(None, [*FAST, *wanted])
     source = find_scans(collection, configuration)
     if source is not None:
         scan = np.concatenate([source.numbers(collection, *each) for each in numbered])
-    return clean(xyz, configuration.method(), classification=classes, scan=scan)
+        poses = source.sensor(collection)
+    return clean(xyz, configuration.method(), classification=classes, scan=scan, poses=poses)
 
 
 def assert_same(table, result):
@@ -116,6 +118,15 @@ KINDS = {
 }
 
 
+def poses_of(points, folder, random):
+    """Write poses of 40 scans among the points, and return the file."""
+    poses = np.tile(np.eye(4)[:3], (40, 1, 1))
+    inside = points[np.isfinite(points).all(axis=1) & (np.abs(points) < 1e7).all(axis=1)]
+    poses[:, :, 3] = inside[random.integers(0, len(inside), 40)] + random.normal(size=(40, 3))
+    np.savetxt(folder / "poses.txt", poses.reshape(40, 12), "%.17g")
+    return folder / "poses.txt"
+
+
 @settings(deadline=None, max_examples=24, suppress_health_check=[HealthCheck.too_slow])
 @given(
     kind=st.sampled_from(sorted(KINDS)),
@@ -127,10 +138,10 @@ KINDS = {
     cell=st.sampled_from([0.25, 0.3, 0.5, 1.0]),
     decision=st.sampled_from(["rank", "stepped", "auto"]),
     decoded=st.booleans(),
-    timed=st.booleans(),
+    told=st.sampled_from(["nothing", "scans", "scans and poses"]),
 )
 def test_labels_clusters_and_densities_are_those_of_the_whole_map(
-    kind, seed, count, max_points, halo, ground, cell, decision, decoded, timed
+    kind, seed, count, max_points, halo, ground, cell, decision, decoded, told
 ):
     random = np.random.default_rng(seed)
     points = KINDS[kind](random.permutation(room(count, random)), random)
@@ -146,10 +157,12 @@ def test_labels_clusters_and_densities_are_those_of_the_whole_map(
     with tempfile.TemporaryDirectory() as folder:
         # Of a map that must be decoded, coordinates are kept from the survey on.
         name, save = ("map.npz", np.savez_compressed) if decoded else ("map.npy", np.save)
-        maps = [Path(folder) / ("map.npz" if timed else name)]
-        if timed:
+        maps = [Path(folder) / (name if told == "nothing" else "map.npz")]
+        if told != "nothing":
             scan = random.integers(0, 40, len(points)).astype(np.uint16)
             np.savez_compressed(maps[0], points=points, scan=scan)
+            if told == "scans and poses":
+                wanted.append(f"input.poses={poses_of(points, Path(folder), random)}")
         else:
             save(maps[0], points)
         report, table, chunks = tiled(
@@ -212,6 +225,20 @@ def test_what_the_scans_say_counts_and_is_the_same_over_tiles(tmp_path):
     assert report.time == "none"
     assert_same(without, clean(points[order], load_configuration(None, [*FAST, *wanted]).method()))
     assert without["score"].to_numpy().tobytes() != table["score"].to_numpy().tobytes()
+
+
+def test_what_scans_saw_through_counts_and_is_the_same_over_tiles(tmp_path):
+    random = np.random.default_rng(5)
+    points = random.permutation(room(500, random))
+    scan = random.integers(0, 40, len(points)).astype(np.uint16)
+    np.savez(tmp_path / "room.npz", points=points, scan=scan)
+    wanted = ["removal.decision=auto", *SMALL_GROUND]
+    _, timed, _ = tiled([tmp_path / "room.npz"], tmp_path / "a", 60, *wanted)
+    wanted += [f"input.poses={poses_of(points, tmp_path, random)}"]
+    report, table, _ = tiled([tmp_path / "room.npz"], tmp_path / "b", 60, *wanted)
+    assert report.time == "scan, 40 scans with poses"
+    assert_same(table, in_memory([tmp_path / "room.npz"], *wanted))
+    assert timed["score"].to_numpy().tobytes() != table["score"].to_numpy().tobytes()
 
 
 @pytest.mark.parametrize("halo", ["0", "0.3"])
