@@ -1,13 +1,14 @@
 """Train the models of the evidence from simulated scenes alone, and say how well they do.
 
     python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--keep FOLDER]
+                                  [--models posed_model.json]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
 makes of it is printed, with how often points of each probability moved and what each term earns.
 The mean of these models is written to `--out`: it is sturdier on scenes unlike all of them than one
-model of all kinds. Another is learnt from the maps whose scans are known. With `--keep`, maps are
-kept, and a later call goes on from there; it takes some 90 MB a seed.
+model of all kinds. Others are learnt from the maps whose scans, and whose poses, are known. With
+`--keep`, maps are kept, and a later call goes on from there; it takes some 130 MB a seed.
 """
 
 import argparse
@@ -30,7 +31,7 @@ from benchmarks.training.judging import (
     reliability,
 )
 from benchmarks.training.maps import TrainingMap, training_maps
-from dynahull.evidence.model import MAP_ONLY, TIMED, AskedTerms
+from dynahull.evidence.model import MAP_ONLY, MODEL_FILES, AskedTerms
 from dynahull.parameters import RemovalParameters
 
 
@@ -42,6 +43,8 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    models = list(MODEL_FILES.values())
+    parser.add_argument("--models", nargs="+", choices=models, default=models)
     parser.add_argument("--plot", type=Path, help="write the reliability plot there (extra: plot)")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}")
@@ -52,10 +55,11 @@ def main() -> None:
         maps = list(training_maps(seeds, folder, arguments.workers))
         points = sum(len(each.xyz) for each in maps)
         print(f"{len(maps)} maps, {points:,} scored points, {time.monotonic() - begun:.0f} s")
-        learn(maps, MAP_ONLY, arguments.out / "model.json", arguments)
-        timed = [each for each in maps if each.terms.shape[1] == len(TIMED.first)]
-        print(f"\nwith scans: {len(timed)} maps, {time.monotonic() - begun:.0f} s")
-        learn(timed, TIMED, arguments.out / "timed_model.json", arguments)
+        for asked, name in MODEL_FILES.items():
+            if name in arguments.models:
+                known = [each for each in maps if each.terms.shape[1] >= len(asked.first)]
+                print(f"\n{name}: {len(known)} maps, {time.monotonic() - begun:.0f} s")
+                learn(known, asked, arguments.out / name, arguments)
         print(f"{time.monotonic() - begun:.0f} s")
 
 

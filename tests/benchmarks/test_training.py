@@ -20,7 +20,7 @@ from benchmarks.training.fitting import (
 from benchmarks.training.judging import Judged, ablation, figures, judge, reliability
 from benchmarks.training.maps import MOVED, STATIC, UNKNOWN, TrainingMap
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
+from dynahull.evidence.model import MODEL_FILES, EvidenceModel
 from dynahull.evidence.terms import FALLING, POSED_TERMS, RISING, TERMS
 
 DENSITY = TERMS.index("density_1.2")
@@ -78,7 +78,7 @@ def test_every_kind_of_scene_is_left_out_once():
     assert [fold_of(a_map(0, kind, 10)) for kind in ("office", "boxes_ramp")] == [0, 4]
 
 
-@pytest.mark.parametrize("asked", [MAP_ONLY, TIMED])
+@pytest.mark.parametrize("asked", MODEL_FILES)
 def test_training_finds_what_moved_on_kinds_left_out(asked):
     maps = [a_map(number, kinds[0]) for number, kinds in enumerate(FOLDS)]
     training = train(maps, SMALL, workers=1, asked=asked)
