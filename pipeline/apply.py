@@ -20,6 +20,7 @@ from dynahull.protection import Area
 from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, ClusterSummary
+from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import Configuration, load_configuration
 from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
@@ -29,7 +30,7 @@ from pipeline.outputs.modes import PointScores, check_mode
 from pipeline.outputs.reading import row_columns
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
-from pipeline.places import NOWHERE, DecisionSums
+from pipeline.places import NOWHERE, SIDE, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
@@ -43,9 +44,6 @@ from tiling.collection import MapCollection, content_hash
 
 _FREE = ("removal", "output", "execution")
 """Sections that say nothing of what was computed."""
-
-_SLACK = 1e-3
-"""Metres around a place that is put back: its box is told in millimetres."""
 
 _ROWS_AT_A_TIME = 1 << 20
 
@@ -92,7 +90,11 @@ def decide_again(
         When the map is not the one that was cleaned.
     """
     report = _report_of(folder)
-    configuration = _configured(folder, report, settings, [*protect, *_boxes(report, restore)])
+    for number in restore:
+        if number not in {place.number for place in report.places}:
+            listed = f"1 to {len(report.places)}" if report.places else "none"
+            raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
+    configuration = _configured(folder, report, settings, protect)
     paths = [Path(file.path) for file in report.files]
     cores = available_cores(configuration.execution.workers)
     collection = open_collection(paths, configuration.input, cores)
@@ -104,6 +106,12 @@ def decide_again(
         if content_hash(paths) != report.input_hash:
             raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
         kept = _Kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
+        if restore:
+            observer.stage("restoring", collection.point_count)
+            areas = _areas_of_places(collection, report, kept, restore, observer)
+            removal = configuration.removal
+            removal = removal.model_copy(update={"protect": (*removal.protect, *areas)})
+            configuration = configuration.model_copy(update={"removal": removal})
         cleaned = _Decision(collection, configuration, report, kept, observer).made()
         places = make_places(names, staging)
         scores = PointScores(
@@ -162,17 +170,6 @@ def _configured(
     return given
 
 
-def _boxes(report: RunReport, numbers: Sequence[int]) -> Iterator[Area]:
-    """Return the boxes of places."""
-    places = {place.number: place for place in report.places}
-    for number in numbers:
-        if number not in places:
-            listed = f"1 to {len(places)}" if places else "none"
-            raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
-        low, high = np.array(places[number].low) - _SLACK, np.array(places[number].high) + _SLACK
-        yield Area.box(low.tolist(), high.tolist())
-
-
 class _Kept:
     """What a run kept of each point, in files of one value a row."""
 
@@ -195,6 +192,34 @@ class _Kept:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._rows[name]
+
+
+def _areas_of_places(
+    collection: MapCollection,
+    report: RunReport,
+    kept: _Kept,
+    numbers: Sequence[int],
+    observer: StageObserver,
+) -> list[Area]:
+    """Return the voxels of places of the run's report: what it removed there is theirs alone."""
+    by_evidence = report.configuration["removal"]["decision"] == "auto"
+
+    def parts() -> Iterator[DecisionSums]:
+        for _, batch in collection.batches():
+            own = slice(batch.first_row, batch.first_row + len(batch.xyz))
+            gone = kept["label"][own] == Label.DYNAMIC
+            xyz, score, reason = (
+                batch.xyz[gone],
+                kept["score"][own][gone],
+                kept["reason"][own][gone],
+            )
+            if by_evidence:
+                yield DecisionSums.of(xyz, score, reason, 0.0, NOWHERE)
+            else:
+                yield DecisionSums.by_density(xyz, NOWHERE)
+            observer.advance(len(batch.xyz))
+
+    return areas_of_voxels(DecisionSums.merged(parts()).cells_of(numbers), SIDE)
 
 
 class _ScoredRows:
@@ -264,9 +289,7 @@ class _Decision:
             )
             for each in self._report.clusters
         )
-        decision, views = None, None
-        if removal.weighs_evidence:
-            decision = DecisionSums.merged(self._sums).decision()
+        decision, views = DecisionSums.merged(self._sums).decision(), None
         if configuration.output.report == "html":
             sample = MapSample.of_parts(self._collection.point_count, self._shown)
             views = partial(Views.of, sample, clusters, removal, decision)
@@ -319,7 +342,9 @@ class _Decision:
         if removal.weighs_evidence:
             scores = np.where(safe, np.float32(np.nan), score)
             sums = DecisionSums.of(xyz, scores, reason, removal.confidence, NOWHERE)
-            self._sums = [DecisionSums.merged([*self._sums, sums])]
+        else:
+            sums = DecisionSums.by_density(xyz[label == Label.DYNAMIC], NOWHERE)
+        self._sums = [DecisionSums.merged([*self._sums, sums])]
         if self._configuration.output.report == "html":
             own = np.arange(rows.start, rows.stop)
             chosen = np.flatnonzero(is_sampled(own, self._collection.point_count))
