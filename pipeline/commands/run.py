@@ -1,6 +1,5 @@
 """The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -14,12 +13,16 @@ from pipeline.commands.options import (
     HeightOption,
     Maps,
     Output,
+    Poses,
     Protect,
+    Scans,
     Scheduler,
     Settings,
     WindowOption,
     check_encryption,
+    named_maps,
     part_settings,
+    pose_settings,
     telling_how_to_go_on,
     worker_settings,
 )
@@ -45,14 +48,8 @@ def run_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
-    scans: Annotated[
-        str | None,
-        typer.Option(metavar="FOLDER", help="Scans that are the map, in the place of MAP."),
-    ] = None,
-    poses: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Poses of the scans, KITTI or TUM (input.poses)."),
-    ] = None,
+    scans: Scans = None,
+    poses: Poses = None,
     scheduler: Scheduler = None,
     cluster: ClusterName = None,
     tls: TLS = False,
@@ -69,10 +66,8 @@ def run_command(
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
     wanted += worker_settings(scheduler, cluster, tls) + part_settings(window, height, protect)
-    wanted += [f"input.poses={json.dumps(poses)}"] if poses else []
-    named = [*(maps or []), *([scans] if scans else [])]
-    if not named or (scans and maps):
-        raise typer.BadParameter("expected MAP... or --scans FOLDER", param_hint="MAP...")
+    wanted += pose_settings(poses)
+    named = named_maps(maps, scans)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
@@ -117,10 +112,12 @@ def apply_command(
 
 
 def submit_command(
-    maps: Maps,
+    maps: Annotated[list[str] | None, MAPS] = None,
     output: Output = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
+    scans: Scans = None,
+    poses: Poses = None,
     cluster: ClusterName = None,
     tls: TLS = False,
     fresh: Annotated[
@@ -138,13 +135,14 @@ def submit_command(
 
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    wanted = [*(settings or []), *worker_settings(None, cluster, tls)]
+    wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
+    named = named_maps(maps, scans)
     configuration = load_configuration(config, wanted)
     place = Path(output) if output else None
     if dry_run:
-        typer.echo(run_script(maps, place, configuration, fresh=fresh), nl=False)
+        typer.echo(run_script(named, place, configuration, fresh=fresh), nl=False)
         return
-    job, folder = submit_run(maps, place, configuration, fresh=fresh)
+    job, folder = submit_run(named, place, configuration, fresh=fresh)
     system = configuration.execution.cluster
     typer.echo(f"submitted: {system} job {job}; follow it with dynahull-pipeline status {folder}")
 
