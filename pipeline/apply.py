@@ -90,43 +90,29 @@ def decide_again(
         When the map is not the one that was cleaned.
     """
     report = _report_of(folder)
-    for number in restore:
-        if number not in {place.number for place in report.places}:
-            listed = f"1 to {len(report.places)}" if report.places else "none"
-            raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
     configuration = _configured(folder, report, settings, protect)
+    _check_places(report, restore)
     paths = [Path(file.path) for file in report.files]
     cores = available_cores(configuration.execution.workers)
     collection = open_collection(paths, configuration.input, cores)
     check_mode(collection.readers, configuration)
     names = OutputNames.of_run(collection.readers, configuration.output)
-    results = names.all_files(True, configuration.output.report == "html")
+    results = names.all_files(configuration.output)
     with output_folder(output or folder, results, paths) as staging, unchanged(paths):
-        observer.stage("hashing", collection.point_count)
-        if content_hash(paths) != report.input_hash:
-            raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+        _check_content(collection, report, observer)
         kept = _Kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
         if restore:
-            observer.stage("restoring", collection.point_count)
             areas = _areas_of_places(collection, report, kept, restore, observer)
-            removal = configuration.removal
-            removal = removal.model_copy(update={"protect": (*removal.protect, *areas)})
-            configuration = configuration.model_copy(update={"removal": removal})
+            configuration = _protecting(configuration, areas)
         cleaned = _Decision(collection, configuration, report, kept, observer).made()
         places = make_places(names, staging)
         scores = PointScores(
             kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
         )
         write_maps(collection, configuration.output, kept["label"], scores, places, observer)
+        place, digest = output or folder, report.input_hash
         made = write_account(
-            output or folder,
-            collection,
-            report.input_hash,
-            configuration,
-            cleaned,
-            names,
-            staging,
-            observer,
+            place, collection, digest, configuration, cleaned, names, staging, observer
         )
         shutil.rmtree(staging / "rows")
     return made
@@ -170,6 +156,26 @@ def _configured(
     return given
 
 
+def _check_content(collection: MapCollection, report: RunReport, observer: StageObserver) -> None:
+    observer.stage("hashing", collection.point_count)
+    if content_hash(collection.paths) != report.input_hash:
+        raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+
+
+def _protecting(configuration: Configuration, areas: Sequence[Area]) -> Configuration:
+    """Return a configuration by which nothing is removed in further areas."""
+    protect = (*configuration.removal.protect, *areas)
+    removal = configuration.removal.model_copy(update={"protect": protect})
+    return configuration.model_copy(update={"removal": removal})
+
+
+def _check_places(report: RunReport, numbers: Sequence[int]) -> None:
+    for number in numbers:
+        if number not in {place.number for place in report.places}:
+            listed = f"1 to {len(report.places)}" if report.places else "none"
+            raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
+
+
 class _Kept:
     """What a run kept of each point, in files of one value a row."""
 
@@ -203,6 +209,7 @@ def _areas_of_places(
 ) -> list[Area]:
     """Return the voxels of places of the run's report: what it removed there is theirs alone."""
     by_evidence = report.configuration["removal"]["decision"] == "auto"
+    observer.stage("restoring", collection.point_count)
 
     def parts() -> Iterator[DecisionSums]:
         for _, batch in collection.batches():

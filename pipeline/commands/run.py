@@ -1,7 +1,7 @@
 """The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,6 +26,9 @@ from pipeline.commands.options import (
     telling_how_to_go_on,
     worker_settings,
 )
+
+if TYPE_CHECKING:
+    from pipeline.preview import Window
 
 
 def run_command(
@@ -190,24 +193,13 @@ def preview_command(
     """
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
-    from pipeline.preview import WHOLE, Window, preview  # noqa: PLC0415
+    from pipeline.preview import preview  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
 
-    if (window is not None) + (centre is not None) + thin > 1:
-        raise ConfigurationError("expected one of --window, --centre and --thin, found several")
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    chosen = WHOLE if thin else None
-    if window is not None:
-        chosen = Window(window[:2], window[2:])
-    elif centre is not None:
-        (x, y), half = centre, size / 2
-        chosen = Window((x - half, y - half), (x + half, y + half))
-    if chosen is not None and not (
-        chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]
-    ):
-        raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
+    chosen = _chosen_window(window, centre, size, thin)
     wanted = [*(settings or []), *part_settings(None, height, protect)]
     configuration = load_configuration(config, wanted)
     with watching() as observer:
@@ -224,3 +216,29 @@ def preview_command(
     typer.echo(f"report: {page}")
     if open_page:
         typer.launch(page.as_uri())
+
+
+def _chosen_window(
+    window: tuple[float, float, float, float] | None,
+    centre: tuple[float, float] | None,
+    size: float,
+    thin: bool,
+) -> "Window | None":
+    """Return the part of the map that is asked for, None for a typical one."""
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+    from pipeline.preview import WHOLE, Window  # noqa: PLC0415
+
+    if (window is not None) + (centre is not None) + thin > 1:
+        raise ConfigurationError("expected one of --window, --centre and --thin, found several")
+    if thin:
+        return WHOLE
+    if window is not None:
+        chosen = Window(window[:2], window[2:])
+    elif centre is not None:
+        (x, y), half = centre, size / 2
+        chosen = Window((x - half, y - half), (x + half, y + half))
+    else:
+        return None
+    if not (chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]):
+        raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
+    return chosen

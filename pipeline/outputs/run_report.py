@@ -158,12 +158,7 @@ class RunReport(BaseModel):
             version=version("dynahull-pipeline"),
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
             output=str(folder),
-            outputs=[
-                str(name)
-                for name in names.all_files(
-                    bool(configuration.output.labels), configuration.output.report == "html"
-                )
-            ],
+            outputs=[str(name) for name in names.all_files(configuration.output)],
             input_hash=input_hash,
             files=_input_files(collection, names),
             points=collection.point_count,
