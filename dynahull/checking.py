@@ -69,13 +69,23 @@ def cloud_points(given: Any) -> Any:
     if not isinstance(given, np.ndarray):
         kind = type(given)
         if hasattr(kind, "detach"):
-            return given.detach().cpu().numpy()
+            return _array_of_tensor(given)
         if hasattr(kind, "xyz") and not _offers_array(kind):
             return given.xyz
         if hasattr(kind, "loc") and _misnamed(names := _column_names(given)):
             named = {name.lower(): name for name in names}
             return given[[named[axis] for axis in "xyz"]]
     return _points_of_open3d(given)
+
+
+def _array_of_tensor(given: Any) -> Any:
+    try:
+        return given.detach().cpu().numpy()
+    except (TypeError, RuntimeError) as error:  # bfloat16, sparse, meta
+        found = " ".join(str(error).split())[:_LONGEST]
+        raise InvalidPointsError(
+            f"points: expected a dense tensor of numbers that NumPy has, found {found}"
+        ) from error
 
 
 def _points_of_open3d(given: Any) -> Any:

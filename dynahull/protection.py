@@ -52,13 +52,17 @@ class Area(BaseModel):
         if self.high is not None:
             near &= xyz[:, 2] <= self.high
         rows = np.flatnonzero(near)
-        x, y = flat[rows].T
+        rows = rows[np.argsort(flat[rows, 1])]
         inside = np.zeros(len(rows), np.bool_)
+        heights = flat[rows, 1]
         for ring in self.rings:
+            span = [min(corner[1] for corner in ring), max(corner[1] for corner in ring)]
+            beside = slice(*np.searchsorted(heights, span))  # of many rings, each looks at few
+            x, y = flat[rows[beside]].T
             for (x0, y0), (x1, y1) in zip(ring, (*ring[1:], ring[0]), strict=True):
                 if y0 != y1:
                     crosses = (y < y0) != (y < y1)
-                    inside ^= crosses & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+                    inside[beside] ^= crosses & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
         near[rows] = inside
         return np.asarray(near)
 

@@ -20,6 +20,7 @@ from dynahull.protection import Area
 from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, ClusterSummary
+from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import Configuration, load_configuration
 from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
@@ -29,7 +30,7 @@ from pipeline.outputs.modes import PointScores, check_mode
 from pipeline.outputs.reading import row_columns
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
-from pipeline.places import NOWHERE, DecisionSums
+from pipeline.places import NOWHERE, SIDE, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
@@ -43,9 +44,6 @@ from tiling.collection import MapCollection, content_hash
 
 _FREE = ("removal", "output", "execution")
 """Sections that say nothing of what was computed."""
-
-_SLACK = 1e-3
-"""Metres around a place that is put back: its box is told in millimetres."""
 
 _ROWS_AT_A_TIME = 1 << 20
 
@@ -92,33 +90,29 @@ def decide_again(
         When the map is not the one that was cleaned.
     """
     report = _report_of(folder)
-    configuration = _configured(folder, report, settings, [*protect, *_boxes(report, restore)])
+    configuration = _configured(folder, report, settings, protect)
+    _check_places(report, restore)
     paths = [Path(file.path) for file in report.files]
     cores = available_cores(configuration.execution.workers)
     collection = open_collection(paths, configuration.input, cores)
     check_mode(collection.readers, configuration)
     names = OutputNames.of_run(collection.readers, configuration.output)
-    results = names.all_files(True, configuration.output.report == "html")
+    results = names.all_files(configuration.output)
     with output_folder(output or folder, results, paths) as staging, unchanged(paths):
-        observer.stage("hashing", collection.point_count)
-        if content_hash(paths) != report.input_hash:
-            raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+        _check_content(collection, report, observer)
         kept = _Kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
+        if restore:
+            areas = _areas_of_places(collection, report, kept, restore, observer)
+            configuration = _protecting(configuration, areas)
         cleaned = _Decision(collection, configuration, report, kept, observer).made()
         places = make_places(names, staging)
         scores = PointScores(
             kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
         )
         write_maps(collection, configuration.output, kept["label"], scores, places, observer)
+        place, digest = output or folder, report.input_hash
         made = write_account(
-            output or folder,
-            collection,
-            report.input_hash,
-            configuration,
-            cleaned,
-            names,
-            staging,
-            observer,
+            place, collection, digest, configuration, cleaned, names, staging, observer
         )
         shutil.rmtree(staging / "rows")
     return made
@@ -162,15 +156,24 @@ def _configured(
     return given
 
 
-def _boxes(report: RunReport, numbers: Sequence[int]) -> Iterator[Area]:
-    """Return the boxes of places."""
-    places = {place.number: place for place in report.places}
+def _check_content(collection: MapCollection, report: RunReport, observer: StageObserver) -> None:
+    observer.stage("hashing", collection.point_count)
+    if content_hash(collection.paths) != report.input_hash:
+        raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+
+
+def _protecting(configuration: Configuration, areas: Sequence[Area]) -> Configuration:
+    """Return a configuration by which nothing is removed in further areas."""
+    protect = (*configuration.removal.protect, *areas)
+    removal = configuration.removal.model_copy(update={"protect": protect})
+    return configuration.model_copy(update={"removal": removal})
+
+
+def _check_places(report: RunReport, numbers: Sequence[int]) -> None:
     for number in numbers:
-        if number not in places:
-            listed = f"1 to {len(places)}" if places else "none"
+        if number not in {place.number for place in report.places}:
+            listed = f"1 to {len(report.places)}" if report.places else "none"
             raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
-        low, high = np.array(places[number].low) - _SLACK, np.array(places[number].high) + _SLACK
-        yield Area.box(low.tolist(), high.tolist())
 
 
 class _Kept:
@@ -195,6 +198,35 @@ class _Kept:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._rows[name]
+
+
+def _areas_of_places(
+    collection: MapCollection,
+    report: RunReport,
+    kept: _Kept,
+    numbers: Sequence[int],
+    observer: StageObserver,
+) -> list[Area]:
+    """Return the voxels of places of the run's report: what it removed there is theirs alone."""
+    by_evidence = report.configuration["removal"]["decision"] == "auto"
+    observer.stage("restoring", collection.point_count)
+
+    def parts() -> Iterator[DecisionSums]:
+        for _, batch in collection.batches():
+            own = slice(batch.first_row, batch.first_row + len(batch.xyz))
+            gone = kept["label"][own] == Label.DYNAMIC
+            xyz, score, reason = (
+                batch.xyz[gone],
+                kept["score"][own][gone],
+                kept["reason"][own][gone],
+            )
+            if by_evidence:
+                yield DecisionSums.of(xyz, score, reason, 0.0, NOWHERE)
+            else:
+                yield DecisionSums.by_density(xyz, NOWHERE)
+            observer.advance(len(batch.xyz))
+
+    return areas_of_voxels(DecisionSums.merged(parts()).cells_of(numbers), SIDE)
 
 
 class _ScoredRows:
@@ -264,9 +296,7 @@ class _Decision:
             )
             for each in self._report.clusters
         )
-        decision, views = None, None
-        if removal.weighs_evidence:
-            decision = DecisionSums.merged(self._sums).decision()
+        decision, views = DecisionSums.merged(self._sums).decision(), None
         if configuration.output.report == "html":
             sample = MapSample.of_parts(self._collection.point_count, self._shown)
             views = partial(Views.of, sample, clusters, removal, decision)
@@ -319,7 +349,9 @@ class _Decision:
         if removal.weighs_evidence:
             scores = np.where(safe, np.float32(np.nan), score)
             sums = DecisionSums.of(xyz, scores, reason, removal.confidence, NOWHERE)
-            self._sums = [DecisionSums.merged([*self._sums, sums])]
+        else:
+            sums = DecisionSums.by_density(xyz[label == Label.DYNAMIC], NOWHERE)
+        self._sums = [DecisionSums.merged([*self._sums, sums])]
         if self._configuration.output.report == "html":
             own = np.arange(rows.start, rows.stop)
             chosen = np.flatnonzero(is_sampled(own, self._collection.point_count))

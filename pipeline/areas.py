@@ -1,11 +1,14 @@
-"""Areas from a file: polygons as GeoJSON or WKT, or boxes, a line each; metres."""
+"""Areas from a file: polygons as GeoJSON or WKT, or boxes, a line each; metres. Or of voxels."""
 
 import json
 import re
 from collections.abc import Iterator
+from math import floor, inf, nextafter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from dynahull.protection import Area
@@ -40,6 +43,49 @@ def read_areas(path: Path) -> list[Area]:
     if not areas:
         raise ConfigurationError(f"{path}: expected polygons or boxes, found none")
     return areas
+
+
+def areas_of_voxels(cells: NDArray[np.int32], side: float) -> list[Area]:
+    """Return areas that hold just what lies in some voxels, (n, 3): one for each layer of them."""
+    areas = []
+    for layer in np.unique(cells[:, 2]).tolist():
+        flat = cells[cells[:, 2] == layer, :2]
+        boxes = _boxes(sorted(flat.tolist(), key=lambda cell: (cell[1], cell[0])))
+        rings = [
+            Area.box([_edge(n, side) for n in low], [_edge(n, side) for n in high]).rings[0]
+            for low, high in boxes
+        ]
+        top = nextafter(_edge(layer + 1, side), -inf)
+        areas.append(Area(rings=tuple(rings), low=_edge(layer, side), high=top))
+    return areas
+
+
+def _boxes(cells: list[list[int]]) -> Iterator[tuple[list[int], list[int]]]:
+    """Put cells of a layer, row by row, together into boxes: corners, the second one outside."""
+    runs: list[list[int]] = []  # row, first cell, one behind the last
+    for i, j in cells:
+        if runs and runs[-1][0] == j and runs[-1][2] == i:
+            runs[-1][2] += 1
+        else:
+            runs.append([j, i, i + 1])
+    growing: dict[tuple[int, int], list[int]] = {}
+    for j, i, end in runs:
+        rows = growing.setdefault((i, end), [j, j])
+        if rows[1] != j:
+            yield [i, rows[0]], [end, rows[1]]
+            rows[0] = j
+        rows[1] = j + 1
+    yield from (([i, rows[0]], [end, rows[1]]) for (i, end), rows in growing.items())
+
+
+def _edge(cell: int, side: float) -> float:
+    """Return the least coordinate of a cell: what is divided by its side is rounded."""
+    edge = cell * side
+    while floor(nextafter(edge, -inf) / side) >= cell:
+        edge = nextafter(edge, -inf)
+    while floor(edge / side) < cell:
+        edge = nextafter(edge, inf)
+    return edge
 
 
 def _of_json(found: dict[str, Any]) -> Iterator[Area]:

@@ -1,4 +1,4 @@
-"""What a decision by evidence comes to: the places that lose points, and how sure it was."""
+"""What a decision comes to: the places that lose points, and how sure it was."""
 
 from dataclasses import dataclass
 
@@ -30,8 +30,8 @@ class Place(BaseModel):
         Removed there.
     low, high : (x, y, z)
         Corners of the box around it, metres; whole voxels.
-    score : float
-        Mean probability of having moved.
+    score : float or None
+        Mean probability of having moved; None where no evidence was weighed.
     reasons : tuple of PlaceReason
         Of most points first.
     """
@@ -42,7 +42,7 @@ class Place(BaseModel):
     points: int
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-    score: float
+    score: float | None
     reasons: tuple[PlaceReason, ...]
 
     @property
@@ -60,7 +60,7 @@ class Place(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What the evidence decided.
+    """What was decided.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Decision:
     uncertain : int
         Points that were kept with half of the confidence asked for, at least.
     scores : (101,) int64 array
-        Points of a score of 0, 0.01 ... 1, and less than a step above it.
+        Points of a score of 0, 0.01 ... 1, and less than a step above it; none without evidence.
     """
 
     places: tuple[Place, ...]

@@ -57,11 +57,13 @@ def clean_in_memory(
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
-    decision, views = None, None
+    views = None
     if removal.weighs_evidence:
         weighed = np.where(result.protected, np.float32(np.nan), result.score)
         sums = DecisionSums.of(points, weighed, result.reason, removal.confidence)
-        decision = sums.decision()
+    else:
+        sums = DecisionSums.by_density(points[result.labels == Label.DYNAMIC])
+    decision = sums.decision()
     if output.report == "html":
         # Points that took no part are in no tile of a map that is cut, and are not shown either.
         apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)

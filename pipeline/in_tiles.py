@@ -43,7 +43,7 @@ def clean_in_tiles(
             lambda plan: check_plan(plan, job.configuration, job.root),
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
-        decision = gather_decision(job) if job.configuration.removal.weighs_evidence else None
+        decision = gather_decision(job)
         views, tiles = None, None
         if job.configuration.output.report == "html":
             views = partial(_views, job, clusters, decision)
@@ -77,7 +77,7 @@ def clean_in_tiles(
     )
 
 
-def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision | None) -> Views:
+def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
     """Return what the report shows."""
     return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
 

@@ -127,13 +127,15 @@ class MapInfo(BaseModel):
         return "\n".join(lines)
 
 
-def inspect_map(maps: Sequence[str | Path]) -> MapInfo:
+def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo:
     """Read a whole map and say what it is.
 
     Parameters
     ----------
     maps : sequence of str or Path
         Files, folders or globs that together are one map.
+    poses : str, optional
+        File of the poses of its scans, in the place of what lies beside them.
 
     Returns
     -------
@@ -144,7 +146,8 @@ def inspect_map(maps: Sequence[str | Path]) -> MapInfo:
     TilingError
         When a file cannot be found or read.
     """
-    collection = MapCollection(find_map_files(maps))
+    told = None if poses is None else Path(poses)
+    collection = MapCollection(find_map_files(maps), poses=told)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     finite_count, sample = 0, [np.empty((0, 3))]
     with DuplicateCounter(collection.point_count) as duplicates:

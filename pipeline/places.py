@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.evidence.lattice import Floats, Integers, Voxels, added, cells_of
+from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, added, cells_of
 from dynahull.evidence.reasons import REASONS
 from pipeline.decision import SCORE_STEPS, Decision, Place, PlaceReason
 
@@ -31,7 +31,10 @@ UNCERTAIN = 0.5
 SURROUNDINGS = "the points around it look like a ghost"
 """What is said where the own terms of points say nothing."""
 
-_WORDS = (*REASONS, SURROUNDINGS)
+DENSITY = "sparser than the rest of its cluster"
+"""What is said where a share of each cluster goes."""
+
+_WORDS = (*REASONS, SURROUNDINGS, DENSITY)
 _MOST_REASONS = 3
 _LEAST_SHARE = 0.05
 """Of the points of a place, for a reason to be told beside the first."""
@@ -109,12 +112,23 @@ class DecisionSums:
         values[:, _SCORE] = np.rint(score[gone].astype(np.float64) * _THOUSANDTHS)
         column = _REASONS + np.minimum(reason[gone], len(REASONS)).astype(np.intp)
         values[np.arange(len(values)), column] = 1
-        return cls(
-            Voxels.of(cells_of(xyz[gone], SIDE), values),
-            np.empty((0, _WIDTH), np.int64),
-            np.array([0, 0, uncertain]),
-            np.bincount(place, minlength=SCORE_STEPS + 1).astype(np.int64),
-        )._with_whole(core)
+        scores = np.bincount(place, minlength=SCORE_STEPS + 1).astype(np.int64)
+        return cls._of_removed(xyz[gone], values, uncertain, scores, core)
+
+    @classmethod
+    def by_density(cls, removed: Floats, core: Floats = _LATTICE) -> Self:
+        """Sum up what a share of each cluster takes of a tile, (n, 3); see `of`."""
+        values = np.zeros((len(removed), _LOW), np.int64)
+        values[:, _POINTS] = values[:, _REASONS + _WORDS.index(DENSITY)] = 1
+        return cls._of_removed(removed, values, 0, np.zeros(SCORE_STEPS + 1, np.int64), core)
+
+    @classmethod
+    def _of_removed(
+        cls, removed: Floats, values: Integers, uncertain: int, scores: Integers, core: Floats
+    ) -> Self:
+        voxels = Voxels.of(cells_of(removed, SIDE), values)
+        counts = np.array([0, 0, uncertain])
+        return cls(voxels, np.empty((0, _WIDTH), np.int64), counts, scores)._with_whole(core)
 
     @classmethod
     def merged(cls, parts: Iterable[Self]) -> Self:
@@ -153,6 +167,14 @@ class DecisionSums:
             int(self.counts[2]),
             self.scores,
         )
+
+    def cells_of(self, numbers: Sequence[int]) -> Cells:
+        """Return the voxels of places that `decision` lists, (n, 3), of sums without whole ones."""
+        groups = self.open.connected()
+        rows = _groups(self.open, groups)
+        large = np.flatnonzero(rows[:, _POINTS] >= FEWEST)
+        listed = large[_by_size(rows[large])]
+        return self.open.cells[np.isin(groups, listed[np.array(numbers) - 1])]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the sums as arrays, for a file that hands them from a task to the run."""
@@ -206,10 +228,15 @@ def _groups(voxels: Voxels, groups: NDArray[np.intp]) -> Integers:
 
 
 def _largest(rows: Integers) -> Integers:
-    """Return the places to list, those of most points first, and of as many by their cells."""
+    """Return the places to list."""
+    return np.asarray(rows[_by_size(rows)])
+
+
+def _by_size(rows: Integers) -> NDArray[np.intp]:
+    """Return which places to list: those of most points first, and of as many by their cells."""
     # Each column decides where those before it are the same: no two rows in another order differ.
     keys = [-rows[:, _POINTS], *rows[:, _LOW:].T, *rows[:, _SCORE:_LOW].T]
-    return np.asarray(rows[np.lexsort(keys[::-1])[:MOST_LISTED]])
+    return np.lexsort(keys[::-1])[:MOST_LISTED]
 
 
 def _place(number: int, row: Integers) -> Place:
@@ -222,7 +249,9 @@ def _place(number: int, row: Integers) -> Place:
         points=points,
         low=_millimetres(low),
         high=_millimetres(high),
-        score=round(int(row[_SCORE]) / (points * _THOUSANDTHS), 3),
+        score=None
+        if _WORDS[order[0]] == DENSITY
+        else round(int(row[_SCORE]) / (points * _THOUSANDTHS), 3),
         reasons=tuple(
             PlaceReason(words=_WORDS[reason], share=round(by_reason[reason] / points, 3))
             for rank, reason in enumerate(order)

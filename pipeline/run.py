@@ -49,7 +49,7 @@ def run(
     maps : sequence of str or Path
         Files, folders or globs that together are one map.
     output : Path or None
-        Output folder; `<map>_dynahull` in the current folder by default.
+        `<map>_dynahull` in the current folder by default.
     configuration : Configuration
     observer : StageObserver
         Told of stages, progress and warnings; its seconds go into the report.
@@ -64,49 +64,24 @@ def run(
     Raises
     ------
     TilingError, DynaHullError, PipelineError
-        With no result written. Of a map of several tiles, the work that is done is kept in the
-        output folder, and the same call goes on from there.
+        With no result written; what is done of several tiles is kept, and the same call goes on.
     """
-    paths = find_map_files(maps)
-    cores = available_cores(configuration.execution.workers)
-    collection = open_collection(paths, configuration.input, cores)
-    configuration = configuration.of_size(collection.point_count)
+    collection, configuration = _opened(maps, configuration)
+    paths = collection.paths
     folder = output or default_folder(paths)
-    if any(Path(each).is_dir() and Path(each).resolve() == folder.resolve() for each in maps):
-        raise OutputError(f"{folder}: this folder is the input; choose another -o")
-    if configuration.ground.method == "las_class" and not collection.has_classification:
-        raise MissingClassificationError(
-            f"{paths[0]}: ground.method las_class expects a LAS map with classes, found none"
-        )
-    if configuration.removal.protect_classes and not collection.has_classification:
-        raise MissingClassificationError(
-            f"{paths[0]}: removal.protect_classes expects a LAS map with classes, found none"
-        )
-    if configuration.ground.method == "csf":
-        cloth_library()  # before the work, not after it
-    check_time(collection, configuration)
-    begun = (folder / WORK_FOLDER).exists() and not fresh
-    one_tile = is_one_tile(collection, configuration, begun=begun)
+    _check_what_is_asked(maps, folder, collection, configuration)
+    work = folder / WORK_FOLDER
+    one_tile = is_one_tile(collection, configuration, begun=work.exists() and not fresh)
     if one_tile:
         check_one_tile(collection, configuration)
-    for note in _notes(collection):
-        observer.warn(note)
+    _warn_of_what_is_lost(collection, observer)
     check_mode(collection.readers, configuration)
     names = OutputNames.of_run(collection.readers, configuration.output)
-    wants_page = configuration.output.report == "html"
-    results = names.all_files(bool(configuration.output.labels), wants_page)
-    with (
-        output_folder(folder, results, paths) as staging,
-        unchanged(paths) as state,
-    ):
+    results = names.all_files(configuration.output)
+    with output_folder(folder, results, paths) as staging, unchanged(paths) as state:
         if one_tile:
-            size = output_size(collection, configuration)
-            check_space(folder, 0, size, configuration.output.keep_free)
-        observer.stage("hashing", collection.point_count)
-        digest = content_hash(paths)
-        observer.advance(collection.point_count)
-        observer.finish()
-        work = folder / WORK_FOLDER
+            _check_disk(folder, collection, configuration)
+        digest = _hashed(collection, observer)
         if one_tile:
             remove_work(work)
             cleaned = clean_in_memory(collection, configuration, names, staging, observer)
@@ -117,9 +92,40 @@ def run(
         report = write_account(
             folder, collection, digest, configuration, cleaned, names, staging, observer
         )
-    if not configuration.output.keep_work:
-        _give_up_work(work, observer)
+    _give_up_work(work, configuration, observer)
     return report
+
+
+def _opened(
+    maps: Sequence[str | Path], configuration: Configuration
+) -> tuple[MapCollection, Configuration]:
+    """Open a map; return with it what holds for a map of its size."""
+    paths, cores = find_map_files(maps), available_cores(configuration.execution.workers)
+    collection = open_collection(paths, configuration.input, cores)
+    return collection, configuration.of_size(collection.point_count)
+
+
+def _check_what_is_asked(
+    maps: Sequence[str | Path],
+    folder: Path,
+    collection: MapCollection,
+    configuration: Configuration,
+) -> None:
+    """Refuse, before any work, what this map or this installation has not."""
+    if any(Path(each).is_dir() and Path(each).resolve() == folder.resolve() for each in maps):
+        raise OutputError(f"{folder}: this folder is the input; choose another -o")
+    asked = {
+        "ground.method las_class": configuration.ground.method == "las_class",
+        "removal.protect_classes": bool(configuration.removal.protect_classes),
+    }
+    for what, is_asked in asked.items():
+        if is_asked and not collection.has_classification:
+            raise MissingClassificationError(
+                f"{collection.paths[0]}: {what} expects a LAS map with classes, found none"
+            )
+    if configuration.ground.method == "csf":
+        cloth_library()
+    check_time(collection, configuration)
 
 
 def write_account(
@@ -158,10 +164,11 @@ def write_account(
     return report
 
 
-def _give_up_work(work: Path, observer: StageObserver) -> None:
+def _give_up_work(work: Path, configuration: Configuration, observer: StageObserver) -> None:
     """Remove work of which the results are there: whatever happens, the run has succeeded."""
     try:
-        remove_work(work)
+        if not configuration.output.keep_work:
+            remove_work(work)
     except OSError as error:
         observer.warn(f"{work}: cannot be removed: {error.strerror or error}")
 
@@ -189,9 +196,21 @@ def _write_page(
     return shown.with_seconds(observer)
 
 
-def _notes(collection: MapCollection) -> list[str]:
-    """Return what the outputs cannot carry over, each sentence once."""
-    notes = dict.fromkeys(
-        note for reader in collection.readers for note in reader.description.notes
-    )
-    return list(notes)
+def _warn_of_what_is_lost(collection: MapCollection, observer: StageObserver) -> None:
+    """Say what the outputs cannot carry over, each sentence once."""
+    notes = (note for reader in collection.readers for note in reader.description.notes)
+    for note in dict.fromkeys(notes):
+        observer.warn(note)
+
+
+def _check_disk(folder: Path, collection: MapCollection, configuration: Configuration) -> None:
+    size = output_size(collection, configuration)
+    check_space(folder, 0, size, configuration.output.keep_free)
+
+
+def _hashed(collection: MapCollection, observer: StageObserver) -> str:
+    observer.stage("hashing", collection.point_count)
+    digest = content_hash(collection.paths)
+    observer.advance(collection.point_count)
+    observer.finish()
+    return digest

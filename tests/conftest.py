@@ -16,7 +16,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if sys.platform.startswith("linux"):
         return
     for item in items:
-        if item.get_closest_marker("linux"):
+        if item.get_closest_marker("linux_only"):
             item.add_marker(pytest.mark.skip(reason="this is about Linux"))
 
 

@@ -253,3 +253,17 @@ def _checked(poses: Matrices, source: Path) -> Matrices:
         place = f"pose {int(np.flatnonzero(wrong)[0]) + 1}"
         raise MapFormatError(source, "a rotation and a place", "other numbers", place)
     return poses
+
+
+def pose_files(paths: Sequence[Path], given: Path | None = None) -> tuple[Path, ...]:
+    """Return the files beside a map's own from which `find_poses` may take the poses.
+
+    They are found by their names alone: no file is opened.
+    """
+    if given is not None:
+        return (given,)
+    beside = [path.with_name("data") for path in paths if path.name == "cloud.pcd"]
+    for folder in dict.fromkeys(path.parent for path in paths):
+        if folder.name in _SCAN_FOLDERS:
+            beside += [_pose_file(folder.parent) or folder, folder.parent / "calib.txt"]
+    return tuple(path for path in beside if path.is_file())

@@ -27,7 +27,6 @@ class TileSorter:
 
     def __init__(self, layout: Layout, halo: float) -> None:
         self._layout = layout
-        self._halo = halo
         self._reached = layout.low - halo, layout.high + halo
         # In here no other tile's halo reaches: rounding is monotonic, so not by a bit either.
         self._inner = layout.low + halo, layout.high - halo

@@ -23,7 +23,6 @@ COLUMN_LEVELS = (1, 2)
 EXTREME_LEVEL = 3
 """The thinnest and the densest are looked for among voxels of 0.8 m."""
 
-COLUMN_TERMS = 6
 _STEPS = 16
 _OCCUPIED = COLUMNS
 """Column that counts occupied voxels of the finest level; what scans saw of them, and the marks of
@@ -48,7 +47,7 @@ class Level:
         of returns a finest voxel that is occupied, and of how many more finest voxels, and points,
         are in the box of the next level.
     shape : (V, 4) float32 array or None
-    columns : (V, COLUMN_TERMS) float32 array or None
+    columns : (V, 6) float32 array or None
         Above the voxel: how far it goes on without a gap, the gap after that, and how much is
         occupied; the same below.
     extremes : (V, 2) float32 array or None

@@ -12,6 +12,7 @@ import numpy as np
 from dynahull.compilation import compiling, numba_cache
 from dynahull.kernels import closest, solve
 from dynahull.kernels.build import make_tree_workspace
+from dynahull.kernels.compiled import OPTIONS
 from dynahull.kernels.solve import Results, make_workspace
 from dynahull.kernels.tree import make_stack, make_tree
 
@@ -56,7 +57,7 @@ def _compile(cached: bool) -> Kernels:
     solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, workspace, results)]
     places = np.zeros((1, 3)), 0, 1, make_stack(), np.empty(64), np.zeros(1), rows
     find_types = [numba.typeof(value) for value in (tree, *places)]
-    options = {"nogil": True, "error_model": "numpy", "cache": cached, "_nrt": False}
+    options = OPTIONS | {"cache": cached}
     return Kernels(
         numba.njit(numba.void(*build_types), **options)(solve.build),
         numba.njit(numba.void(*solve_types), **options)(solve.solve),

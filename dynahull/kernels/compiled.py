@@ -4,13 +4,10 @@ from typing import Any
 
 from numba import njit
 
-_OPTIONS: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "_nrt": False,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+"""Of all kernels. `_nrt` is an option of Numba's own (0.68)."""
+
+_OPTIONS = OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 compiled = njit(**_OPTIONS)
 """Compile a function for the kernels: without the interpreter's lock, and without NumPy's memory.

@@ -1,11 +1,14 @@
 """The command `nightly`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pipeline.commands.options import Settings
+
+if TYPE_CHECKING:
+    from pipeline.nightly.settings import NightlySettings
 
 
 def nightly_command(
@@ -36,11 +39,7 @@ def nightly_command(
     signal, 2 wrong configuration, 1 anything else.
     """
     from pipeline.configuration.run import NIGHTLY_EXAMPLE, configurations_folder  # noqa: PLC0415
-    from pipeline.errors import (  # noqa: PLC0415
-        ConfigurationError,
-        NightLockedError,
-        NightlyError,
-    )
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
 
     if example:
         text = (configurations_folder() / NIGHTLY_EXAMPLE).read_text(encoding="utf-8")
@@ -59,21 +58,26 @@ def nightly_command(
 
         typer.echo(install_text(found, source, settings or []))
         return
+    raise typer.Exit(_exit_code_of_night(found, retry))
 
+
+def _exit_code_of_night(settings: "NightlySettings", retry: bool) -> int:
+    """Spend a night, and return what the command ends with."""
+    from pipeline.errors import NightLockedError, NightlyError  # noqa: PLC0415
     from pipeline.nightly.clock import Clock, NightEnd  # noqa: PLC0415
     from pipeline.nightly.night import clean_nightly  # noqa: PLC0415
     from pipeline.nightly.one_map import Cleaner  # noqa: PLC0415
     from pipeline.nightly.summary import EXIT_LOCKED, EXIT_WELL  # noqa: PLC0415
 
     clock = Clock()
-    end = NightEnd(clock, found.stop_after)
+    end = NightEnd(clock, settings.stop_after)
     try:
         with end.listening():
-            summary = clean_nightly(found, Cleaner(), clock, end, retry=retry)
+            summary = clean_nightly(settings, Cleaner(), clock, end, retry=retry)
     except NightLockedError as error:
         typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(EXIT_LOCKED) from None
+        return EXIT_LOCKED
     except OSError as error:
-        place = error.filename or found.output
+        place = error.filename or settings.output
         raise NightlyError(f"{place}: {error.strerror or error}") from error
-    raise typer.Exit(EXIT_WELL if summary.exit_code is None else summary.exit_code)
+    return EXIT_WELL if summary.exit_code is None else summary.exit_code

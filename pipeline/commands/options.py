@@ -54,6 +54,16 @@ Protect = Annotated[
         help="Areas where nothing is removed: GeoJSON, WKT, or boxes, a line each.",
     ),
 ]
+Scans = Annotated[
+    str | None,
+    typer.Option("--scans", metavar="FOLDER", help="Scans that are the map, in the place of MAP."),
+]
+Poses = Annotated[
+    str | None,
+    typer.Option(
+        "--poses", metavar="FILE", help="Poses of the scans, also of those in a map (input.poses)."
+    ),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler."),
@@ -81,6 +91,18 @@ def telling_how_to_go_on() -> Iterator[None]:
         words = [word for word in sys.argv[1:] if word != "--fresh"]
         typer.echo(f"to go on: {shlex.join(['dynahull-pipeline', *words])}", err=True)
         raise
+
+
+def named_maps(maps: list[str] | None, scans: str | None) -> list[str]:
+    """Return what is cleaned: what `MAP...` names, or `--scans`."""
+    if bool(maps) == bool(scans):
+        raise typer.BadParameter("expected MAP... or --scans FOLDER", param_hint="MAP...")
+    return [*(maps or []), *([scans] if scans else [])]
+
+
+def pose_settings(poses: str | None) -> list[str]:
+    """Return `--poses` as a setting of the configuration."""
+    return [f"input.poses={json.dumps(poses)}"] if poses else []
 
 
 def part_settings(

@@ -1,8 +1,7 @@
 """The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
 
-import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,15 +13,22 @@ from pipeline.commands.options import (
     HeightOption,
     Maps,
     Output,
+    Poses,
     Protect,
+    Scans,
     Scheduler,
     Settings,
     WindowOption,
     check_encryption,
+    named_maps,
     part_settings,
+    pose_settings,
     telling_how_to_go_on,
     worker_settings,
 )
+
+if TYPE_CHECKING:
+    from pipeline.preview import Window
 
 
 def run_command(
@@ -45,16 +51,8 @@ def run_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
-    scans: Annotated[
-        str | None,
-        typer.Option(metavar="FOLDER", help="Scans that are the map, in the place of MAP."),
-    ] = None,
-    poses: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE", help="Poses of the scans, also of those in a map (input.poses)."
-        ),
-    ] = None,
+    scans: Scans = None,
+    poses: Poses = None,
     scheduler: Scheduler = None,
     cluster: ClusterName = None,
     tls: TLS = False,
@@ -71,10 +69,8 @@ def run_command(
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
     wanted += worker_settings(scheduler, cluster, tls) + part_settings(window, height, protect)
-    wanted += [f"input.poses={json.dumps(poses)}"] if poses else []
-    named = [*(maps or []), *([scans] if scans else [])]
-    if not named or (scans and maps):
-        raise typer.BadParameter("expected MAP... or --scans FOLDER", param_hint="MAP...")
+    wanted += pose_settings(poses)
+    named = named_maps(maps, scans)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
@@ -119,10 +115,12 @@ def apply_command(
 
 
 def submit_command(
-    maps: Maps,
+    maps: Annotated[list[str] | None, MAPS] = None,
     output: Output = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
+    scans: Scans = None,
+    poses: Poses = None,
     cluster: ClusterName = None,
     tls: TLS = False,
     fresh: Annotated[
@@ -140,13 +138,14 @@ def submit_command(
 
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    wanted = [*(settings or []), *worker_settings(None, cluster, tls)]
+    wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
+    named = named_maps(maps, scans)
     configuration = load_configuration(config, wanted)
     place = Path(output) if output else None
     if dry_run:
-        typer.echo(run_script(maps, place, configuration, fresh=fresh), nl=False)
+        typer.echo(run_script(named, place, configuration, fresh=fresh), nl=False)
         return
-    job, folder = submit_run(maps, place, configuration, fresh=fresh)
+    job, folder = submit_run(named, place, configuration, fresh=fresh)
     system = configuration.execution.cluster
     typer.echo(f"submitted: {system} job {job}; follow it with dynahull-pipeline status {folder}")
 
@@ -194,24 +193,13 @@ def preview_command(
     """
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
-    from pipeline.preview import WHOLE, Window, preview  # noqa: PLC0415
+    from pipeline.preview import preview  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
 
-    if (window is not None) + (centre is not None) + thin > 1:
-        raise ConfigurationError("expected one of --window, --centre and --thin, found several")
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    chosen = WHOLE if thin else None
-    if window is not None:
-        chosen = Window(window[:2], window[2:])
-    elif centre is not None:
-        (x, y), half = centre, size / 2
-        chosen = Window((x - half, y - half), (x + half, y + half))
-    if chosen is not None and not (
-        chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]
-    ):
-        raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
+    chosen = _chosen_window(window, centre, size, thin)
     wanted = [*(settings or []), *part_settings(None, height, protect)]
     configuration = load_configuration(config, wanted)
     with watching() as observer:
@@ -228,3 +216,29 @@ def preview_command(
     typer.echo(f"report: {page}")
     if open_page:
         typer.launch(page.as_uri())
+
+
+def _chosen_window(
+    window: tuple[float, float, float, float] | None,
+    centre: tuple[float, float] | None,
+    size: float,
+    thin: bool,
+) -> "Window | None":
+    """Return the part of the map that is asked for, None for a typical one."""
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+    from pipeline.preview import WHOLE, Window  # noqa: PLC0415
+
+    if (window is not None) + (centre is not None) + thin > 1:
+        raise ConfigurationError("expected one of --window, --centre and --thin, found several")
+    if thin:
+        return WHOLE
+    if window is not None:
+        chosen = Window(window[:2], window[2:])
+    elif centre is not None:
+        (x, y), half = centre, size / 2
+        chosen = Window((x - half, y - half), (x + half, y + half))
+    else:
+        return None
+    if not (chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]):
+        raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
+    return chosen

@@ -6,18 +6,20 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import Maps
+from pipeline.commands.options import MAPS, Poses, Scans, named_maps
 from tiling.foreign_text import printable_path
 
 
 def info_command(
-    maps: Maps,
+    maps: Annotated[list[str] | None, MAPS] = None,
+    scans: Scans = None,
+    poses: Poses = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show what a map holds: format, points, fields, bounds, CRS, non-finite points, duplicates."""
     from pipeline.info import inspect_map  # noqa: PLC0415
 
-    info = inspect_map(maps)
+    info = inspect_map(named_maps(maps, scans), poses)
     typer.echo(json.dumps(info.model_dump(mode="json"), indent=2) if as_json else info.to_text())
 
 

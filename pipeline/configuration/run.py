@@ -149,7 +149,12 @@ class OutputParameters(BaseModel):
     voxel: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
         None,
         description="Edge of voxels, metres: `thinned` has of each the static point nearest to its "
-        "middle, with all fields.",
+        "middle.",
+    )
+    voxel_fields: Literal["nearest", "mean"] = Field(
+        "nearest",
+        description="Its fields. `nearest`: as they are. `mean`: quantities, coordinates too, are "
+        "means over the static points of the voxel in the same file; binary formats.",
     )
     classes: ClassParameters = ClassParameters()
 

@@ -87,7 +87,7 @@ def evaluate(
         check_transport(
             options.emd_points, counts["cleaned"], counts.get("truth") or counts["original"]
         )
-    _check_disk([source.collection for source in sources.values()], inputs.cleaned)
+    _check_disk([source.collection for source in sources.values()])
     with TemporaryDirectory(prefix="evaluate-", dir=temporary_folder()) as name:
         folder = Path(name)
         clouds = cut_clouds(sources, options.voxel, folder, observer)
@@ -143,7 +143,7 @@ def _sources(inputs: EvaluationInputs) -> dict[str, CloudSource]:
     return sources
 
 
-def _check_disk(collections: list[MapCollection], cleaned: MapCollection) -> None:
+def _check_disk(collections: list[MapCollection]) -> None:
     """Refuse maps that the folder for temporary files has no room for, cut into tiles."""
     temporary = POINT_BYTES * sum(each.point_count for each in collections)
     temporary += _MORE_BYTES * max(each.point_count for each in collections)

@@ -17,6 +17,7 @@ from pipeline.nightly.settings import NightlyInput, NightlySettings
 from pipeline.showing import is_text
 from tiling.collection import content_hash, find_map_files
 from tiling.errors import NoMapError, SeveralMapsError, TilingError
+from tiling.key_frames import pose_files
 
 _COARSEST_TIME = 2.0
 """Seconds between two changes of a file that its dates tell apart on any file system (FAT)."""
@@ -36,12 +37,29 @@ class FoundMap:
         How it is cleaned.
     root : Path
         The folder of the input, out of which no link is followed.
+    poses : tuple of Path
+        What the poses of its files are read from, where they are scans.
     """
 
     path: Path
     files: tuple[Path, ...]
     configuration: Configuration
     root: Path
+    poses: tuple[Path, ...] = ()
+
+    def states(self) -> Fingerprint:
+        """Return the states of all files that it is read from.
+
+        Raises
+        ------
+        OSError
+            When one is gone.
+        """
+        every = [(path.name, path.stat()) for path in (*self.files, *self.poses)]
+        return tuple(
+            (name, state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
+            for name, state in every
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +121,9 @@ def find_maps(
                     )
                 )
                 continue
-            maps.append(FoundMap(path, files, configuration, given.root))
+            told = configuration.input.poses
+            poses = pose_files(files, None if told is None else Path(told))
+            maps.append(FoundMap(path, files, configuration, given.root, poses))
             taken |= own
     return maps, problems
 
@@ -186,21 +206,6 @@ def lie_within(root: Path, files: Iterable[Path]) -> bool:
     return all(file.resolve().is_relative_to(root) for file in files)
 
 
-def fingerprint(files: tuple[Path, ...]) -> Fingerprint:
-    """Return the states of a map's files.
-
-    Raises
-    ------
-    OSError
-        When one is gone.
-    """
-    states = [(path.name, path.stat()) for path in files]
-    return tuple(
-        (name, state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
-        for name, state in states
-    )
-
-
 def last_change(states: Fingerprint, now: float, seen_since: float | None = None) -> float:
     """Return when a map was last written to, seconds since 1970.
 
@@ -259,11 +264,12 @@ def learn_content(
     OSError
         When a file cannot be read, or is gone.
     """
-    begun, before = now(), fingerprint(found.files)
+    begun, before = now(), found.states()
     content = content_hash(found.files, advance)
-    if fingerprint(found.files) != before:
+    poses = content_hash(found.poses, advance) if found.poses else ""
+    if found.states() != before:
         return False
-    record.content = content
+    record.content, record.poses = content, poses
     # A change right after this one might leave the same dates: look again the next time.
     recent = begun - last_change(before, begun) < _COARSEST_TIME
     record.fingerprint = () if recent else before

@@ -71,6 +71,8 @@ class MapRecord(BaseModel):
         Of the files when their content was hashed.
     content : str or None
         SHA-256 of their bytes; None where no later look may rely on it.
+    poses : str
+        SHA-256 of the files of their poses; empty where there are none.
     attempt : Attempt or None
     failure : Failure or None
     stalled : bool
@@ -88,6 +90,7 @@ class MapRecord(BaseModel):
     first_seen: float
     fingerprint: Fingerprint = ()
     content: str | None = None
+    poses: str = ""
     attempt: Attempt | None = None
     failure: Failure | None = None
     stalled: bool = False

@@ -15,7 +15,6 @@ from pipeline.nightly.clock import Clock, NightEnd
 from pipeline.nightly.inventory import (
     Problem,
     find_maps,
-    fingerprint,
     lacks_dates,
     learn_content,
 )
@@ -167,7 +166,7 @@ class _Night:
                 self.minutes.problems([f"{place}: expected a folder of results, found a link"])
                 continue
             try:
-                states = fingerprint(each.files)
+                states = each.states()
             except FileNotFoundError:
                 continue
             except OSError as error:

@@ -47,8 +47,10 @@ def map_name(path: Path) -> str:
     return f"{own}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
 
 
-def result_key(content: str, files: Sequence[Path], configuration: Configuration) -> str:
-    """Return the hash of all that decides a result: content, configuration, names of several files.
+def result_key(
+    content: str, files: Sequence[Path], configuration: Configuration, poses: str = ""
+) -> str:
+    """Return the hash of what decides a result: content, poses, configuration, names of several.
 
     Not what tiles, workers and the space on the disk are like; nor the version, so that a new one
     does not mean that all is cleaned again.
@@ -63,7 +65,7 @@ def result_key(content: str, files: Sequence[Path], configuration: Configuration
         },
     )
     names = [path.name for path in files] if len(files) > 1 else []
-    text = json.dumps([content, names, decisive], sort_keys=True)
+    text = json.dumps([content, names, decisive, *([poses] if poses else [])], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
-from pipeline.nightly.inventory import FoundMap, fingerprint, last_change, trusted_content
+from pipeline.nightly.inventory import FoundMap, last_change, trusted_content
 from pipeline.nightly.journal import Fingerprint, MapRecord
 from pipeline.nightly.results import MapFolder, result_key, tasks_done
 from pipeline.nightly.settings import NightlySettings
@@ -45,7 +45,7 @@ class Candidate:
     def is_as_seen(self) -> bool:
         """Tell whether its files still are what they were when it was looked at."""
         try:
-            return fingerprint(self.found.files) == self.states
+            return self.found.states() == self.states
         except OSError:
             return False
 
@@ -59,7 +59,8 @@ class Candidate:
         """What a result, or a failure, is of: content and configuration, or files not read yet."""
         if self.content is None:
             return "unread-" + hashlib.sha256(repr(self.states).encode()).hexdigest()[:16]
-        return result_key(self.content, self.found.files, self.found.configuration)
+        found, poses = self.found, self.record.poses
+        return result_key(self.content, found.files, found.configuration, poses)
 
 
 def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapOutcome | None:

@@ -89,10 +89,10 @@ class OutputNames:
         """The outputs of each input file."""
         return tuple(zip(*self.by_kind.values(), strict=True))
 
-    def all_files(self, labels: bool, page: bool) -> tuple[Path, ...]:
+    def all_files(self, output: OutputParameters) -> tuple[Path, ...]:
         """Return every file of the run, `run.json` last."""
-        more = [Path(LABELS_FILE)] if labels else []
-        more += [Path(REPORT_FILE)] if page else []
+        more = [Path(LABELS_FILE)] if output.labels else []
+        more += [Path(REPORT_FILE)] if output.report == "html" else []
         maps = [name for names in self.by_kind.values() for name in names]
         return (*maps, *self.thinned, *more, Path(CONFIGURATION_FILE), Path(RUN_FILE))
 

@@ -191,6 +191,10 @@ def check_mode(readers: Sequence[MapReader], configuration: Configuration) -> No
     output = configuration.output
     if output.merge:
         _check_merging(readers)
+    if output.voxel is not None and output.voxel_fields == "mean":
+        for said in (reader.description for reader in readers if not reader.sets_values):
+            expected = "a binary format with fields, as output.voxel_fields is mean"
+            raise MapFormatError(said.path, expected, said.format)
     if output.mode != "label":
         return
     for reader in readers:

@@ -92,14 +92,14 @@ class RunReport(BaseModel):
         Points of each label; they add up to `points`.
     clusters : list of ClusterReport
     places : list of Place
-        Where points were removed, the places of most points first; empty where a share of each
-        cluster is removed, whatever the evidence.
+        Where points were removed, the places of most points first.
     place_count : int or None
-        All places, also those that are not listed.
+        All places, also those that are not listed; None in reports of old.
     scattered_points : int or None
         Removed points that are in no place.
     uncertain_points : int or None
-        Points kept, though at least half as likely to have moved as those that go.
+        Points kept, though at least half as likely to have moved as those that go; None where the
+        evidence was not asked.
     seconds : dict of str to float
         Wall time of each stage.
     peak_memory_bytes : int
@@ -148,7 +148,7 @@ class RunReport(BaseModel):
         configuration: Configuration,
         counts: dict[str, int],
         clusters: Sequence[ClusterSummary],
-        decision: Decision | None,
+        decision: Decision,
         time: str | None,
         names: OutputNames,
         observer: StageObserver,
@@ -158,21 +158,16 @@ class RunReport(BaseModel):
             version=version("dynahull-pipeline"),
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
             output=str(folder),
-            outputs=[
-                str(name)
-                for name in names.all_files(
-                    bool(configuration.output.labels), configuration.output.report == "html"
-                )
-            ],
+            outputs=[str(name) for name in names.all_files(configuration.output)],
             input_hash=input_hash,
             files=_input_files(collection, names),
             points=collection.point_count,
             counts=counts,
             clusters=[ClusterReport.of(cluster) for cluster in clusters],
-            places=[] if decision is None else list(decision.places),
-            place_count=None if decision is None else decision.place_count,
-            scattered_points=None if decision is None else decision.scattered,
-            uncertain_points=None if decision is None else decision.uncertain,
+            places=list(decision.places),
+            place_count=decision.place_count,
+            scattered_points=decision.scattered,
+            uncertain_points=decision.uncertain if configuration.removal.weighs_evidence else None,
             seconds=_seconds(observer),
             peak_memory_bytes=peak_memory(),
             peak_memory_all_bytes=_peak_of_all(configuration, observer),
@@ -236,8 +231,8 @@ class RunReport(BaseModel):
         return "\n".join([*lines, *self.verdict()])
 
     def verdict(self) -> list[str]:
-        """Return what the evidence came to, in a line or two; nothing where it was not asked."""
-        if self.place_count is None or self.uncertain_points is None:
+        """Return what was decided, in a line or two."""
+        if self.place_count is None:
             return []
         removed = self.counts["dynamic"]
         if not removed + self.counts["static"]:
@@ -246,7 +241,8 @@ class RunReport(BaseModel):
         if self.uncertain_points:
             kept = f"; {share_of(self.uncertain_points, self.points)} uncertain, kept"
         if not removed:
-            return [f"nothing moved: nothing removed{kept}"]
+            moved = "" if self.uncertain_points is None else "nothing moved: "
+            return [f"{moved}nothing removed{kept}"]
         where = []
         if self.place_count:
             where.append(_counted(self.place_count, "place"))

@@ -1,15 +1,16 @@
-"""The static map thinned: of each voxel the point nearest to its middle, with all its fields.
+"""The static map thinned: of each voxel the point nearest to its middle, or the means there.
 
 Voxels are anchored at the origin of the coordinates. Points are sorted into files by voxel first,
 so that memory does not grow with the map, and the choice does not depend on how it was cut.
 """
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,13 @@ from numpy.typing import NDArray
 from dynahull.checking import valid_points
 from dynahull.labels import Label
 from pipeline.configuration.run import OutputParameters
+from pipeline.outputs.averaging import write_means
 from pipeline.outputs.writing import merged_batches
 from pipeline.progress import StageObserver
 from pipeline.work.files import make_rows, open_rows
 from tiling.collection import MapCollection
 from tiling.formats import MapReader, PointBatch
+from tiling.formats.points import DEFAULT_BATCH
 from tiling.output_file import create_file
 
 _RECORD = np.dtype([("cell", "<i8", 3), ("off", "<f8"), ("row", "<i8")])
@@ -59,31 +62,50 @@ def write_thinned(
     """
     work = staging / "voxels"
     work.mkdir()
-    make_rows(work / "chosen", collection.point_count, np.uint8, 0)
-    chosen = open_rows(work / "chosen", np.uint8, "r+")
-    observer.stage("thinning", 2 * collection.point_count)
-    edge = output.voxel
-    assert edge is not None
-    for file in _sorted_by_voxel(collection, labels, edge, work, observer):
-        points = np.fromfile(file, _RECORD)
-        order = np.lexsort((points["row"], points["off"], *points["cell"].T))
-        cells = points["cell"][order]
-        first = np.ones(len(cells), np.bool_)
-        first[1:] = (cells[1:] != cells[:-1]).any(axis=1)
-        chosen[points["row"][order[first]]] = 1
-        file.unlink()
+    passes = 3 if output.voxel_fields == "mean" else 2
+    observer.stage("thinning", passes * collection.point_count)
+    owners = _find_owners(collection, labels, output, work, observer)
+    count = 0
     if output.merge:
         reader = collection.readers[0].merged()
-        _write(reader, merged_batches(collection), chosen, places[0], observer)
+        part = _Part(reader, partial(merged_batches, collection), owners, 0)
+        count = _write(part, output, places[0], work, observer)
     else:
         first_rows = [*collection.first_rows, collection.point_count]
         for reader, place, bounds in zip(
             collection.readers, places, pairwise(first_rows), strict=True
         ):
-            _write(reader, reader.batches(), chosen[slice(*bounds)], place, observer)
-    count = int(np.count_nonzero(chosen))
+            part = _Part(reader, reader.batches, owners[slice(*bounds)], bounds[0])
+            count += _write(part, output, place, work, observer)
     shutil.rmtree(work)
     return count
+
+
+def _find_owners(
+    collection: MapCollection,
+    labels: NDArray[np.uint8],
+    output: OutputParameters,
+    work: Path,
+    observer: StageObserver,
+) -> NDArray[np.int64]:
+    """Return, in a file, for each point the row of the nearest point of its voxel, -1 for none."""
+    make_rows(work / "owners", collection.point_count, np.int64, -1)
+    owners = open_rows(work / "owners", np.int64, "r+")
+    assert output.voxel is not None
+    for file in _sorted_by_voxel(collection, labels, output.voxel, work, observer):
+        points = np.fromfile(file, _RECORD)
+        order = np.lexsort((points["row"], points["off"], *points["cell"].T))
+        cells, rows = points["cell"][order], points["row"][order]
+        first = np.ones(len(cells), np.bool_)
+        first[1:] = (cells[1:] != cells[:-1]).any(axis=1)
+        owners[rows] = rows[first][np.cumsum(first) - 1]
+        file.unlink()
+    return owners
+
+
+def _file_count(points: int) -> int:
+    """Return into how many files points are sorted."""
+    return min(max(points // _POINTS_A_FILE, 1), _MOST_FILES)
 
 
 def _sorted_by_voxel(
@@ -94,7 +116,7 @@ def _sorted_by_voxel(
     observer: StageObserver,
 ) -> list[Path]:
     """Write what decides of each point into files, all points of a voxel into one."""
-    count = min(max(collection.point_count // _POINTS_A_FILE, 1), _MOST_FILES)
+    count = _file_count(collection.point_count)
     files = [work / f"{number}" for number in range(count)]
     with ExitStack() as stack:
         streams = [stack.enter_context(create_file(file)) for file in files]
@@ -114,17 +136,46 @@ def _sorted_by_voxel(
     return files
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What goes into one output: points of a file of the map, or all; `owners` are theirs."""
+
+    reader: MapReader
+    batches: Callable[[], Iterator[PointBatch]]
+    owners: NDArray[np.int64]
+    first: int
+
+    def chosen(self, rows: slice) -> NDArray[np.bool_]:
+        """Tell which of some points stay: those that own themselves."""
+        own = self.owners[rows]
+        return np.asarray(own == np.arange(rows.start, rows.start + len(own)) + self.first)
+
+
 def _write(
-    reader: MapReader,
-    batches: Iterable[PointBatch],
-    chosen: NDArray[Any],
-    place: Path,
-    observer: StageObserver,
-) -> None:
-    """Write the chosen ones of some points, numbered from 0, as a reader's file has them."""
+    part: _Part, output: OutputParameters, place: Path, work: Path, observer: StageObserver
+) -> int:
+    """Write the chosen ones of some points as a reader's file has them; return their number."""
     place.parent.mkdir(parents=True, exist_ok=True)
-    with reader.writer(place, int(np.count_nonzero(chosen))) as writer:
-        for batch in batches:
-            own = chosen[batch.first_row : batch.first_row + len(batch.xyz)] != 0
-            writer.write(batch.select(own))
+    reader, total = part.reader, len(part.owners)
+    starts = range(0, total, DEFAULT_BATCH)
+    count = sum(
+        int(np.count_nonzero(part.chosen(slice(start, start + DEFAULT_BATCH)))) for start in starts
+    )
+    means = None
+    if output.voxel_fields == "mean":
+        files = _file_count(total)
+        means = write_means(reader, part.batches(), part.owners, part.first, work, files, observer)
+    with ExitStack() as stack:
+        writer = stack.enter_context(reader.writer(place, count))
+        stream = None if means is None else stack.enter_context(means.path.open("rb"))
+        for batch in part.batches():
+            chosen = part.chosen(slice(batch.first_row, batch.first_row + len(batch.xyz)))
+            records = batch.select(chosen)
+            if stream is not None and means is not None and means.names:
+                values = np.fromfile(stream, means.dtype, int(np.count_nonzero(chosen)))
+                records = reader.with_values(records, {name: values[name] for name in means.names})
+            writer.write(records)
             observer.advance(len(batch.xyz))
+    if means is not None:
+        means.path.unlink()
+    return count

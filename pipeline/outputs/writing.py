@@ -43,8 +43,7 @@ class CleanedMap:
     counts : dict of str to int
         Points of each label.
     clusters : tuple of ClusterSummary
-    decision : Decision or None
-        None where the evidence was not asked.
+    decision : Decision
     views : callable or None
         Gives what the report shows; None where none is wanted.
     tiles : TileWork or None
@@ -60,7 +59,7 @@ class CleanedMap:
     reason: NDArray[np.uint8] | None
     counts: dict[str, int]
     clusters: tuple[ClusterSummary, ...]
-    decision: Decision | None
+    decision: Decision
     views: Callable[[], Views] | None = None
     tiles: TileWork | None = None
     time: str | None = None

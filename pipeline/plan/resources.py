@@ -87,7 +87,7 @@ def tile_budget(collection: MapCollection, configuration: Configuration, workers
     return max(_SMALLEST_TILE, min(fitting, _LARGEST_TILE, max(_USUAL_TILE, shared_out)))
 
 
-_VOXEL_BYTES = 41
+_VOXEL_BYTES = 48
 """A point, of temporary files, while the map is thinned."""
 
 
@@ -105,6 +105,8 @@ def output_size(collection: MapCollection, configuration: Configuration) -> int:
     if output.voxel is not None:
         again *= 2
         each += _VOXEL_BYTES
+        if output.voxel_fields == "mean":
+            each += max(reader.bytes_per_point for reader in collection.readers)
     return again + each * collection.point_count + page
 
 

@@ -70,14 +70,14 @@ class Views:
         sample: MapSample,
         summaries: Sequence[ClusterSummary],
         removal: RemovalParameters,
-        decision: Decision | None,
+        decision: Decision,
     ) -> Self:
         """Prepare the views of a run, from its sample, its clusters and how it was decided."""
         clusters = [ClusterReport.of(summary) for summary in summaries]
-        if decision is None:
-            percentages = removal_percentages(sample, clusters, removal.model_dump())
-        else:
+        if removal.weighs_evidence:
             percentages = confidence_percentages(sample, clusters, removal.confidence, decision)
+        else:
+            percentages = removal_percentages(sample, clusters, removal.model_dump())
         densities = density_charts(sample, clusters, percentages)
         return cls(sample, percentages, encode(sample, percentages), densities)
 
@@ -177,7 +177,8 @@ def _figures(report: RunReport) -> list[tuple[str, str, str]]:
         if counts[label]:
             figures.append((f"{label}, kept", f"{counts[label]:,}", ""))
     if report.place_count is not None:
-        kept = f"{report.uncertain_points:,} points uncertain, kept"
+        uncertain = report.uncertain_points
+        kept = "" if uncertain is None else f"{uncertain:,} points uncertain, kept"
         figures.append(("places", f"{report.place_count:,}", kept))
     if report.time is not None:
         known = report.time != "none"

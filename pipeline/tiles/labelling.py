@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
-from dynahull.evidence.model import Judged
 from dynahull.evidence.reasons import NO_REASON
 from dynahull.labels import Label
 from dynahull.removal import remove_likely
@@ -99,8 +98,13 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         values[name] = np.full(len(core_rows), nothing, kind)
         values[name][place] = found
     kept = dict(values) if job.configuration.output.needs_scores else {"label": labels}
+    core = np.stack([job.store.layout.low[tile], job.store.layout.high[tile]])
     if judged is not None:
-        kept |= _decided(job, tile, core_xyz[place], judged, safe).to_arrays()
+        weighed = np.where(safe, np.float32(np.nan), judged.score)
+        sums = DecisionSums.of(core_xyz[place], weighed, judged.reason, removal.confidence, core)
+    else:
+        sums = DecisionSums.by_density(core_xyz[labels == Label.DYNAMIC], core)
+    kept |= sums.to_arrays()
     if job.configuration.output.report == "html":
         kept |= shown_points(job, core_xyz, core_rows, values).to_arrays()
     if job.configuration.clustering.scope == "tile":
@@ -109,16 +113,6 @@ def label_tile(job: Job, tile: int) -> TaskReport:
     job.work.save("label", tile, **kept)
     counted = np.bincount(labels, minlength=len(Label)).tolist()
     return TaskReport(len(core_rows), (*counted, *removed))
-
-
-def _decided(
-    job: Job, tile: int, xyz: NDArray[np.float64], judged: Judged, safe: NDArray[np.bool_]
-) -> DecisionSums:
-    layout = job.store.layout
-    core = np.stack([layout.low[tile], layout.high[tile]])
-    confidence = job.configuration.removal.confidence
-    score = np.where(safe, np.float32(np.nan), judged.score)
-    return DecisionSums.of(xyz, score, judged.reason, confidence, core)
 
 
 def gather_decision(job: Job) -> Decision:

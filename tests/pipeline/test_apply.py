@@ -162,14 +162,45 @@ def test_what_is_protected_stays_however_the_map_is_cut(map_file, tmp_path, way)
     )
 
 
-def test_a_place_of_the_report_is_put_back(map_file, tmp_path):
-    report = cleaned(map_file, tmp_path / "out", *WAYS["auto"], *OTHER["auto"])
-    place = report.places[0]
-    again = applied(tmp_path / "out", None, restore=[place.number])
-    assert again.counts["dynamic"] <= report.counts["dynamic"] - place.points
-    xyz = laspy.read(tmp_path / "out/dynamic.las").xyz
-    assert not ((xyz >= place.low) & (xyz <= place.high)).all(axis=1).any()
-    assert sum(again.counts.values()) == report.points
+@pytest.fixture(scope="module")
+def hooks(tmp_path_factory):
+    """Two ghosts, each of which reaches into the box around the other: hooks, one turned over."""
+    random = np.random.default_rng(5)
+    floor = random.uniform(size=(9000, 3)) * [10, 8, 0.01]
+    hook = np.concatenate(
+        [random.uniform(size=(150, 3)) * size for size in ([4, 0.4, 1], [0.4, 3, 1])]
+    )
+    ghosts = [hook + [2, 3, 0.4], [5.4, 5.6, 0.4] - hook * [0.55, 0.4, -1]]
+    xyz = np.concatenate([floor, *ghosts])
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.scales = [0.001] * 3
+    las.xyz = xyz[random.permutation(len(xyz))]
+    path = tmp_path_factory.mktemp("hooks") / "hooks.las"
+    las.write(path)
+    return path
+
+
+@pytest.mark.parametrize("way", ["paper", "auto"])
+@pytest.mark.parametrize("tiles", [[], TILES], ids=["in memory", "tiles"])
+def test_of_a_place_that_is_put_back_all_others_stay_removed(hooks, tmp_path, way, tiles):
+    everything = ["removal.min_percent=100", "removal.max_percent=100", "removal.confidence=0.001"]
+    report = cleaned(hooks, tmp_path / "out", *WAYS[way], *everything, *tiles)
+    before = laspy.read(tmp_path / "out/dynamic.las").xyz
+    place, other = report.places[:2]
+    boxed = ((before >= place.low) & (before <= place.high)).all(axis=1)
+    assert np.count_nonzero(boxed) > place.points, "nothing else is in the box"
+    again = applied(tmp_path / "out", tmp_path / "again", restore=[place.number])
+    after = laspy.read(tmp_path / "again/dynamic.las").xyz
+    assert len(after) == len(before) - place.points == again.counts["dynamic"]
+    assert np.count_nonzero(((after >= place.low) & (after <= place.high)).all(axis=1)) > 0
+    assert again.places[0].points == other.points
+    assert "labels follow" in verify(tmp_path / "again")
+    last = applied(tmp_path / "again", None, restore=[again.places[0].number])
+    assert last.counts["dynamic"] == again.counts["dynamic"] - other.points
+
+
+def test_only_places_of_the_report_are_put_back(map_file, tmp_path):
+    cleaned(map_file, tmp_path / "out")
     with pytest.raises(ConfigurationError, match="--restore 9999: expected a place listed"):
         applied(tmp_path / "out", None, restore=[9999])
 

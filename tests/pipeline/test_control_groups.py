@@ -4,7 +4,7 @@ import pytest
 
 from pipeline.plan.machine import available_memory, memory_left
 
-pytestmark = pytest.mark.linux
+pytestmark = pytest.mark.linux_only
 
 GIB = 1 << 30
 UNLIMITED = 9223372036854771712

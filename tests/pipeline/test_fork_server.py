@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.linux
+pytestmark = pytest.mark.linux_only
 
 PREAMBLE = """
 import json, os, sys, time

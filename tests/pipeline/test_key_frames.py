@@ -1,6 +1,7 @@
 """Folders of scans with poses, in every layout: one map, and each scan back under its own name."""
 
 import json
+from types import SimpleNamespace
 
 import laspy
 import numpy as np
@@ -212,8 +213,8 @@ def test_poses_that_are_given(tmp_path):
     np.savetxt(tmp_path / "times.txt", with_times, "%.17g")
     for name in ("tum.txt", "times.txt"):
         np.testing.assert_allclose(read_poses(tmp_path / name)[0], POSES, atol=1e-9)
-    command = ["run", "--scans", str(tmp_path / "in" / "Scans"), "--poses"]
-    command += [str(tmp_path / "tum.txt"), "-o", str(tmp_path / "out"), "-c", "auto"]
+    named = ["--scans", str(tmp_path / "in" / "Scans"), "--poses", str(tmp_path / "tum.txt")]
+    command = ["run", *named, "-o", str(tmp_path / "out"), "-c", "auto"]
     for setting in ("neighbours.k=8", "ground.method=none", "output.report=none"):
         command += ["--set", setting]
     result = CliRunner().invoke(app, command)
@@ -221,7 +222,32 @@ def test_poses_that_are_given(tmp_path):
     report = json.loads((tmp_path / "out" / "run.json").read_text())
     assert report["time"] == f"key frames, {FRAMES} scans with poses"
     assert report["configuration"]["input"]["poses"] == str(tmp_path / "tum.txt")
-    assert CliRunner().invoke(app, ["run"]).exit_code == 2
+    told = CliRunner().invoke(app, ["info", *named])
+    assert f"time        key frames, {FRAMES} scans" in told.output
+    low, high = WORLD[:, 0].min(), WORLD[:, 0].max()
+    assert f"x           {low:.3f} to {high:.3f}" in told.output, "bounds are the map's"
+    script = CliRunner().invoke(app, ["submit", *named, "-c", "slurm", "--dry-run", "-o", "out"])
+    assert script.exit_code == 0, script.output
+    assert str(tmp_path / "in" / "Scans") in script.output
+    for name in ("run", "info", "submit"):
+        assert CliRunner().invoke(app, [name]).exit_code == 2
+        assert CliRunner().invoke(app, [name, "a.pcd", *named]).exit_code == 2
+
+
+def test_a_job_is_told_the_poses(tmp_path, monkeypatch):
+    sc_lio_sam(tmp_path / "in", "elsewhere.txt")
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("poses.txt", POSES.reshape(FRAMES, 12))
+    system = SimpleNamespace(
+        name="slurm", script_suffix=".sh", require=lambda: None, submit_script=lambda path: "1"
+    )
+    monkeypatch.setattr("pipeline.cluster.submitting._system", lambda _: system)
+    monkeypatch.setattr("pipeline.cluster.submitting._script", lambda *_: "#!/bin/bash\n")
+    command = ["submit", "--scans", "in/Scans", "--poses", "poses.txt", "-c", "slurm", "-o", "out"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    (written,) = (tmp_path / "out").rglob("config.yaml")
+    assert load_configuration(str(written)).input.poses == str(tmp_path / "poses.txt")
 
 
 def test_some_of_the_scans_are_placed_by_their_numbers(tmp_path):

@@ -19,7 +19,7 @@ def test_the_peak_holds_what_was_given_back():
     assert before + 32 * MIB < peak_memory() < before + size + 64 * MIB
 
 
-@pytest.mark.linux
+@pytest.mark.linux_only
 def test_a_small_program_started_by_a_large_one_is_small():
     large = np.ones(32 * MIB)  # 256 MiB
     program = "from pipeline.plan.machine import peak_memory; print(peak_memory())"
@@ -55,7 +55,7 @@ print(before, kept, held())
 """
 
 
-@pytest.mark.linux
+@pytest.mark.linux_only
 def test_what_arrow_keeps_is_given_back(tmp_path):
     program = [sys.executable, "-c", GIVEN_BACK, str(tmp_path / "table.parquet")]
     done = subprocess.run(program, capture_output=True, check=True)

@@ -463,6 +463,7 @@ sys.addaudithook(note)
 """
 
 
+@pytest.mark.linux_only
 @pytest.mark.parametrize(
     "command",
     [

@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import hashlib
+import json
 import os
 import shlex
 import subprocess
@@ -18,6 +19,7 @@ from pipeline.nightly.install import user_name
 from pipeline.outputs import folder_lock
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.workers import local_dask
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
 from tiling import output_file
 
@@ -127,6 +129,7 @@ os.access = lambda path, mode, **more: path != "/dev/shm" and access(path, mode,
 """
 
 
+@pytest.mark.linux_only
 def test_without_semaphores_one_process_does_the_work(given, tmp_path, expected):
     (tmp_path / "site").mkdir()
     (tmp_path / "site/sitecustomize.py").write_text(WITHOUT_SEMAPHORES)
@@ -134,6 +137,50 @@ def test_without_semaphores_one_process_does_the_work(given, tmp_path, expected)
     assert ended.returncode == 0, ended.stderr
     assert "/dev/shm" in ended.stderr
     assert results(tmp_path / "out") == expected
+
+
+WITHOUT_LINUX = """
+import os, sys
+
+for name in ("sched_getaffinity", "sched_setaffinity"):
+    if hasattr(os, name):
+        delattr(os, name)
+
+def forbid(event, arguments):
+    if event != "open" or not str(arguments[0]).startswith(("/proc/", "/sys/")):
+        return
+    frame = sys._getframe(1)
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("pathlib"):
+        frame = frame.f_back
+    if frame is not None and frame.f_globals["__name__"].split(".")[0] in OWN:
+        raise FileNotFoundError(2, "No such file or directory", arguments[0])
+
+OWN = ("pipeline", "tiling", "dynahull")
+sys.addaudithook(forbid)
+"""
+
+
+def test_what_only_linux_has_need_not_be_there(given, tmp_path, expected):
+    """As on macOS: neither the cores of a process nor files that tell of it and of the machine."""
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site/sitecustomize.py").write_text(WITHOUT_LINUX)
+    environment = {"PYTHONPATH": tmp_path / "site"}
+    look = "from pipeline.plan import machine; print(machine._lines(machine.Path('/proc/meminfo')))"
+    looked = called([sys.executable, "-c", look], Path(__file__).parents[2], **environment)
+    assert looked.stdout == "[]\n", "the hook hides nothing"
+    for settings in (FAST, TWO_WORKERS):
+        ended = called(command(given, "out", settings), tmp_path, **environment)
+        assert ended.returncode == 0, ended.stderr
+        peak = json.loads((tmp_path / "out/run.json").read_text())["peak_memory_all_bytes"]
+        assert peak > 10_000_000
+    assert results(tmp_path / "out") == expected
+
+
+def test_elsewhere_than_on_linux_semaphores_have_no_folder(monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    for platform, can in (("darwin", True), ("linux", False)):
+        monkeypatch.setattr(local_dask.sys, "platform", platform)
+        assert local_dask.can_start_workers() == can
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", ">&- 2>&- <&-"])

@@ -1,6 +1,7 @@
 """The places where points were removed: the same however a map is cut, and what is said of them."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,10 +10,20 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from dynahull.evidence.reasons import NO_REASON, REASONS
+from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import load_configuration
 from pipeline.decision import Decision, Place, PlaceReason
 from pipeline.outputs.run_report import RunReport
-from pipeline.places import ARRAY_NAMES, FEWEST, MOST_LISTED, SIDE, SURROUNDINGS, DecisionSums
+from pipeline.places import (
+    ARRAY_NAMES,
+    DENSITY,
+    FEWEST,
+    MOST_LISTED,
+    NOWHERE,
+    SIDE,
+    SURROUNDINGS,
+    DecisionSums,
+)
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 
@@ -97,6 +108,29 @@ def test_places_are_the_groups_of_voxels_that_touch(seed, count, extent):
     assert [place.points for place in decision.places] == large[:MOST_LISTED].tolist()
     assert decision.scattered == points[points < FEWEST].sum()
     assert decision.uncertain == ((score >= 0.25) & (score < 0.5)).sum()
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    extent=st.sampled_from([3.0, 12.0]),
+    shift=st.sampled_from([0.0, -7.3, 652_345.5]),
+    data=st.data(),
+)
+def test_areas_of_a_place_hold_its_points_alone(seed, extent, shift, data):
+    """Of points on the corners of voxels, too, and of places that reach into each other's boxes."""
+    xyz, score, reason = judged(seed, 700, extent, shift)
+    gone = np.nan_to_num(score) >= 0.5
+    sums = DecisionSums.of(xyz, score, reason, 0.5, NOWHERE)
+    places = sums.decision().places
+    if not places:
+        return
+    numbers = data.draw(st.sets(st.sampled_from([each.number for each in places]), min_size=1))
+    cells = sums.cells_of(sorted(numbers))
+    inside = np.any([area.holds(xyz) for area in areas_of_voxels(cells, SIDE)], axis=0)
+    own = (np.floor(xyz / SIDE)[:, np.newaxis] == cells).all(axis=2).any(axis=1)
+    np.testing.assert_array_equal(inside, own)
+    assert np.count_nonzero(inside & gone) == sum(places[n - 1].points for n in numbers)
 
 
 def test_what_is_said_of_a_place():
@@ -197,12 +231,38 @@ def test_a_run_by_evidence_says_where_and_why(tmp_path, max_points):
     assert place["reasons"][0]["words"] in largest
 
 
-def test_the_paper_names_no_places(tmp_path):
-    report = cleaned(street(300), tmp_path)
-    assert report.places == []
-    assert report.place_count is report.scattered_points is report.uncertain_points is None
-    assert report.verdict() == []
-    assert report.summary().splitlines()[-1].startswith("written: ")
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.lists(st.floats(0, 1), max_size=4))
+def test_places_by_density_are_those_of_tiles_too(seed, cuts):
+    xyz, score, _ = judged(seed, 900, 12.0)
+    gone = np.nan_to_num(score) >= 0.5
+    edges = [-np.inf, *sorted(12 * cut for cut in cuts), np.inf]
+    parts = []
+    for west, east in pairwise(edges):
+        own = gone & (xyz[:, 0] >= west) & (xyz[:, 0] < east)
+        core = np.array([[west, -np.inf], [east, np.inf]])
+        parts.append(DecisionSums.by_density(xyz[own], core))
+    whole = DecisionSums.by_density(xyz[gone]).decision()
+    assert_same(DecisionSums.merged(parts).decision(), whole)
+    same = DecisionSums.of(xyz, score, np.zeros(len(xyz), np.uint8), 0.5).decision()
+    assert [each.low for each in whole.places] == [each.low for each in same.places]
+    assert {each.score for each in whole.places} <= {None}
+    assert {why.words for each in whole.places for why in each.reasons} <= {DENSITY}
+    assert (whole.uncertain, whole.scores.sum()) == (0, 0)
+
+
+@pytest.mark.parametrize("max_points", [1_000_000, 4_000])
+def test_the_paper_says_where(tmp_path, max_points):
+    report = cleaned(street(900), tmp_path, f"tiling.max_points={max_points}")
+    assert report.places
+    assert report.uncertain_points is None
+    listed = sum(place.points for place in report.places)
+    assert listed + report.scattered_points == report.counts["dynamic"]
+    *_, written, verdict, largest = report.summary().splitlines()
+    assert written.startswith("written: ")
+    assert verdict.endswith("scattered points")
+    assert largest.startswith(f"largest place: {report.places[0].points:,} points about (")
+    assert largest.endswith(f"m: {DENSITY} (100 %)")
 
 
 def reported(static, dynamic, decision, tmp_path):

@@ -16,7 +16,10 @@ from tests.pipeline.slurm_on_loopback import SlurmOnLoopback, wait_until, why_no
 from tests.test_documentation import BLOCKS
 
 REASON = why_not()
-pytestmark = pytest.mark.skipif(REASON is not None, reason=f"no SLURM: {REASON}")
+pytestmark = [
+    pytest.mark.linux_only,
+    pytest.mark.skipif(REASON is not None, reason=f"no SLURM: {REASON}"),
+]
 
 SETTINGS = [
     "ground.method=none", "tiling.max_points=450", "output.labels=true",

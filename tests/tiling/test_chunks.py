@@ -242,7 +242,7 @@ def test_las_chunks_of_points_off_the_grid_are_refused(tmp_path):
     assert list(store.chunk_path(0).parent.iterdir()) == []
 
 
-@pytest.mark.linux
+@pytest.mark.linux_only
 def test_a_chunk_that_was_read_takes_no_more_than_its_points(tmp_path):
     program = [sys.executable, "-c", HELD_BY_A_CHUNK, str(tmp_path / "chunk.parquet")]
     done = subprocess.run(program, capture_output=True, check=True)

@@ -366,6 +366,7 @@ def test_a_full_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
         writer.write(records)
 
 
+@pytest.mark.linux_only
 def test_temporary_files_go_whatever_happens(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "spool"))
     (tmp_path / "spool").mkdir()

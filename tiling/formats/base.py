@@ -7,7 +7,7 @@ output bit for bit.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError, PartsError, PointCountError
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import DEFAULT_BATCH, Field, MapDescription, PointBatch, checked_rows
+from tiling.formats.points import (
+    DEFAULT_BATCH,
+    Field,
+    MapDescription,
+    PointBatch,
+    checked_rows,
+    coordinate_names,
+)
 from tiling.output_file import create_file
 
 LARGEST_BATCH = 1 << 26
@@ -193,6 +200,27 @@ class MapReader(ABC):
         said = self.description
         raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
 
+    @property
+    def sets_values(self) -> bool:
+        """Whether `with_values` can be asked; rows of text stay as they were written."""
+        return False
+
+    def with_values(self, records: Any, values: Mapping[str, NDArray[Any]]) -> Any:
+        """Return the records of some points with other values of some fields.
+
+        Parameters
+        ----------
+        records : opaque
+            Of a batch of this reader.
+        values : mapping of str to (n,) array
+            By names that `values` takes.
+        """
+        records = records.copy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            for name, column in values.items():
+                self.values(records, name)[:] = column
+        return records
+
     def merged(self) -> "MapReader":
         """Return what writes the points of several maps like this one into one, in one frame.
 
@@ -206,7 +234,10 @@ class MapReader(ABC):
 
     def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
         """Return the records of points with other coordinates, (n, 3); see `merged`."""
-        raise NotImplementedError(f"{self.description.format}: never merged")
+        names = coordinate_names([field.name for field in self.description.fields])
+        assert names is not None  # of what can be merged
+        moved: NDArray[Any] = self.with_values(records, dict(zip(names, xyz.T, strict=True)))
+        return moved
 
     @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:

@@ -1,6 +1,6 @@
 """Parquet maps: tables of points and whatever else, read and written through pyarrow."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
@@ -222,6 +222,20 @@ class ParquetReader(MapReader):
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one column of some rows, nulls as NaN; see `MapReader.values`."""
         return np.asarray(records.column(name).to_numpy())
+
+    @property
+    def sets_values(self) -> bool:
+        """Always; see `MapReader.sets_values`."""
+        return True
+
+    def with_values(self, records: pa.Table, values: Mapping[str, NDArray[Any]]) -> pa.Table:
+        """Return rows with other values, null where a null has none; see `MapReader`."""
+        for name, column in values.items():
+            at = records.schema.get_field_index(name)
+            none = np.asarray(records.column(name).is_null()) & np.isnan(column)
+            array = pa.array(column, records.schema.field(at).type, mask=none)
+            records = records.set_column(at, records.schema.field(at), array)
+        return records
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a table like this one; see `MapReader.writer`."""

@@ -222,7 +222,22 @@ def random_parameters(
         "scans": scans,
         "mode": mode,
         "rays": int(np.clip(total / scans, 2_500, 60_000 if good else 28_000)),
-        # The way of the sensor.
+    }
+    # In this order: what is drawn later follows from what was drawn before.
+    drawn |= _way_of_sensor(random, sensor, vehicle, keyed)
+    drawn |= _measurements(random)
+    if sensor is SensorKind.RING64 and outdoors:  # looks 2 degrees up: stands high, or on a car
+        drawn["sensor_height"] = max(drawn["sensor_height"], float(u(1.2, 1.9)))
+    drawn |= _what_moves(random, mode, outdoors, 0 if still else people, still)
+    drawn |= _map_of_scans(random, good, voxel)
+    return MeshParameters.model_validate(drawn)
+
+
+def _way_of_sensor(
+    random: np.random.Generator, sensor: SensorKind, vehicle: bool, keyed: bool
+) -> dict[str, Any]:
+    u = random.uniform
+    return {
         "interval": float(random.choice([0.1, 0.2, 0.5, 1.0])) if not keyed else 0.1,
         "key_distance": float(u(0.2, 1.0)) * (3.0 if vehicle else 1.0) if keyed else 0.0,
         "rate": float(random.choice([5.0, 10.0, 10.0, 20.0])),
@@ -233,7 +248,13 @@ def random_parameters(
         "pitch": float(u(-5, 30)) if sensor is SensorKind.MID360 and random.random() < 0.4 else 0.0,
         "wobble": float(u(0.5, 5)) if not vehicle and random.random() < 0.3 else float(u(0, 0.3)),
         "own_body": float(u(1.2, 2.5) if vehicle else u(0.25, 0.5)),
-        # What it makes of what it meets.
+    }
+
+
+def _measurements(random: np.random.Generator) -> dict[str, Any]:
+    """Draw what the sensor makes of what it meets."""
+    u = random.uniform
+    return {
         "max_range": float(random.choice([15, 30, 60, 100])),
         "range_noise": float(np.exp(u(np.log(0.004), np.log(0.03)))),
         "angle_noise": float(u(0.0, 0.12)),
@@ -242,22 +263,31 @@ def random_parameters(
         "mixed": float(u(0, 0.3)),
         "beam": float(u(0.05, 0.25)),
     }
-    if sensor is SensorKind.RING64 and outdoors:  # looks 2 degrees up: stands high, or on a car
-        drawn["sensor_height"] = max(drawn["sensor_height"], float(u(1.2, 1.9)))
-    drawn |= {
-        # What moves.
-        "people": 0 if still else people,
+
+
+def _what_moves(
+    random: np.random.Generator, mode: DriveMode, outdoors: bool, people: int, still: bool
+) -> dict[str, Any]:
+    """Draw what moves, and what stands about."""
+    u = random.uniform
+    return {
+        "people": people,
         "lingering": float(u(0.0, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
         "visiting": float(u(0, 1)) if random.random() < 0.4 else 0.0,
         "seated": int(u(0, 8)) if random.random() < 0.5 else 0,
         "vehicles": 0
         if still
         else int(random.choice([0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4])),
-        # What stands about.
         "glass": float(u(0, 1)),
         "mirrors": float(u(0, 0.6)),
         "clutter": float(u(0.3, 2.5)),
-        # Drift, and what becomes of the map's points.
+    }
+
+
+def _map_of_scans(random: np.random.Generator, good: bool, voxel: float) -> dict[str, Any]:
+    """Draw drift, and what becomes of the map's points."""
+    u = random.uniform
+    return {
         "drift_position": float(np.exp(u(np.log(0.003), np.log(0.02 if good else 0.06)))),
         "drift_angle": float(u(0.0, 0.1 if good else 0.3)),
         "jitter_position": float(u(0.0, 0.01)),
@@ -267,4 +297,3 @@ def random_parameters(
         "voxel": voxel if not good and random.random() < 0.5 else 0.0,
         "keep": float(u(0.2, 1.0)) if not good and random.random() < 0.4 else 1.0,
     }
-    return MeshParameters.model_validate(drawn)

@@ -73,10 +73,3 @@ def _directed(
         [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1
     )
     return Sweep(directions, share)
-
-
-def elevation_range(kind: SensorKind) -> tuple[float, float]:
-    """Return the lowest and the highest ray, in degrees."""
-    if kind is SensorKind.MID360:
-        return float(np.degrees(_MID360_LOW)), float(np.degrees(_MID360_HIGH))
-    return float(_RINGS[kind].min()), float(_RINGS[kind].max())

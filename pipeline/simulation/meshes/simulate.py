@@ -13,7 +13,7 @@ from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.poses import Drive, drive, longest, sensor_track
 from pipeline.simulation.meshes.raycasting import Caster, Hits
 from pipeline.simulation.meshes.scenes import build_stage
-from pipeline.simulation.meshes.sensors import Sweep, sweep
+from pipeline.simulation.meshes.sensors import sweep
 from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
 from pipeline.simulation.points import Points
@@ -90,7 +90,7 @@ class Recording:
         turn = sweep(told.sensor, told.rays, number, told.rate, random)
         origins = true[:, 3] + turn.share[:, None] / told.rate * self.drive.velocity[number]
         aimed = turn.directions @ true[:, :3].T
-        hits, other = self._cast(number, turn, (origins, aimed), movers, random)
+        hits, other = self._cast(number, (origins, aimed), movers, random)
         met = self._returned(hits, random)
         distance = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
         apart = np.where(np.isfinite(other.distance), other.distance - distance, 0.0)
@@ -136,7 +136,6 @@ class Recording:
     def _cast(
         self,
         number: int,
-        turn: Sweep,
         rays: tuple[NDArray[np.float64], NDArray[np.float64]],
         movers: bool,
         random: np.random.Generator,

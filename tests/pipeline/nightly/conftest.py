@@ -154,7 +154,7 @@ class Place:
 
 
 def hash_of(path):
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = sorted(each for each in path.rglob("*") if each.is_file()) or [path]
     return hashlib.sha256(b"|".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -41,6 +41,7 @@ def test_the_line_of_cron_is_read_back_by_a_shell(awkward):
     assert str(awkward.parent / "cleaned" / "nightly.log") in words
 
 
+@pytest.mark.linux_only
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not there")
 def test_systemd_takes_service_and_timer(awkward, tmp_path):
     text = install_text(load_nightly_settings(awkward, ["at=22:30"]), awkward)
@@ -116,6 +117,7 @@ def cron():
             subprocess.run(["crontab", "-"], input=earlier, text=True, check=True)
 
 
+@pytest.mark.linux_only
 def test_cron_begins_the_night(awkward, cron, map_bytes):
     (awkward.parent / "incoming" / "a.npy").write_bytes(map_bytes(1, 90))
     summary = awkward.parent / "cleaned" / "nightly.json"

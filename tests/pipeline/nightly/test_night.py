@@ -73,6 +73,36 @@ def test_a_change_of_any_file_of_a_folder_is_seen(real_place, map_bytes, outcome
     ]
 
 
+def poses(height):
+    return "".join(f"1 0 0 {x} 0 1 0 0 0 0 1 {height}\n" for x in range(2))
+
+
+@pytest.mark.parametrize("given", [False, True], ids=["beside the scans", "input.poses"])
+def test_other_poses_make_another_map(real_place, map_bytes, outcomes_of, given):
+    place = real_place
+    for name in ("0", "1"):
+        place.write("surveys/walk/poses.txt", poses(0))
+        (place.folder / "surveys/walk/Scans").mkdir(exist_ok=True)
+        (place.folder / f"surveys/walk/Scans/{name}.npy").write_bytes(map_bytes(int(name), 60))
+    file = place.folder / ("told.txt" if given else "surveys/walk/poses.txt")
+    file.write_text(poses(0))
+    wanted = f"{TINY}, 'input.poses={file}'" if given else TINY
+    place.source.write_text(
+        f"inputs: [{{maps: surveys, each: folder, settings: [{wanted}]}}]\n"
+        "output: cleaned\nsettle: 10 min\nwait: null\n"
+    )
+    assert outcomes_of(place.night()) == {"walk": "cleaned"}
+    assert outcomes_of(place.night()) == {"walk": "unchanged"}
+    file.write_text(poses(1))
+    assert outcomes_of(place.night()) == {"walk": "cleaned"}
+    latest = place.results(place.folder / "surveys/walk").latest()
+    found = json.loads((latest / "run.json").read_text())["files"]
+    assert [each["pose"][-1] for each in found] == [1.0, 1.0]
+    assert outcomes_of(place.night()) == {"walk": "unchanged"}
+    file.write_text(poses(0))
+    assert outcomes_of(place.night()) == {"walk": "unchanged"}, "that result is still there"
+
+
 def test_changed_content_is_cleaned_whatever_size_and_date_say(place, outcomes_of):
     path = place.write("incoming/a.npy", "one")
     before = path.stat()

@@ -16,7 +16,7 @@ from pipeline.nightly.one_map import Cleaner
 from pipeline.nightly.results import tasks_done
 from pipeline.outputs.folder_lock import folder_is_locked, locked_folder
 
-pytestmark = pytest.mark.linux
+pytestmark = pytest.mark.linux_only
 
 COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()", "nightly"]
 PATIENCE = 300.0

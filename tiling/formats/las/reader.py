@@ -7,7 +7,7 @@ laspy names them, and coordinates are computed as laspy computes them.
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from pathlib import Path
@@ -102,9 +102,26 @@ class LasReader(MapReader):
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one field of some points, as laspy takes them apart; see `MapReader.values`."""
+        return np.asarray(self._taken_apart(records)[name])
+
+    @property
+    def sets_values(self) -> bool:
+        """Always; see `MapReader.sets_values`."""
+        return True
+
+    def with_values(
+        self, records: NDArray[np.uint8], values: Mapping[str, NDArray[Any]]
+    ) -> NDArray[np.uint8]:
+        """Return records with other values, set by laspy; see `MapReader.with_values`."""
+        records = records.copy()
+        for name, column in values.items():
+            self._taken_apart(records)[name] = column
+        return records
+
+    def _taken_apart(self, records: NDArray[np.uint8]) -> Any:
         from laspy.point.record import PackedPointRecord  # noqa: PLC0415 (slow to import)
 
-        return np.asarray(PackedPointRecord.from_buffer(records.data, self._point_format)[name])
+        return PackedPointRecord.from_buffer(records.data, self._point_format)
 
     @cached_property
     def _point_format(self) -> Any:

@@ -24,7 +24,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names
+from tiling.formats.points import Field, MapDescription, PointBatch
 
 _COLUMNS = ("x", "y", "z")
 
@@ -114,16 +114,10 @@ class NpyReader(MapReader):
         """Return what writes several such arrays into one; see `MapReader.merged`."""
         return self if self._header.has_float_coordinates else super().merged()
 
-    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
-        """Return rows with other coordinates; see `MapReader.moved`."""
-        records = records.copy()
-        rows = records.view(self._header.dtype)
-        with np.errstate(over="ignore", invalid="ignore"):
-            for axis, name in enumerate(coordinate_names(self._header.dtype.names or ()) or ()):
-                rows[name] = xyz[:, axis]
-            if not self._header.dtype.names:
-                rows.reshape(len(xyz), -1)[:, :3] = xyz
-        return records
+    @property
+    def sets_values(self) -> bool:
+        """Always: every element has its place."""
+        return True
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an array like this one; see `MapReader.writer`."""

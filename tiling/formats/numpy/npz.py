@@ -96,11 +96,7 @@ class NpzReader(MapReader):
             suffix=".npz",
             point_count=count,
             fields=tuple(
-                field
-                for name, header in self._columns
-                for field in (
-                    array_fields(header) if [name] == self._coordinates else header.fields(name)
-                )
+                field for name, header in self._columns for field in self._fields_of(name, header)
             ),
             notes=tuple(notes),
         )
@@ -143,14 +139,27 @@ class NpzReader(MapReader):
                 for reader in readers:
                     reader.finish()
 
+    def _fields_of(self, name: str, header: ArrayHeader) -> tuple[Field, ...]:
+        return array_fields(header) if [name] == self._coordinates else header.fields(name)
+
     def values(self, records: Any, name: str) -> NDArray[Any]:
-        """Return one field, or array of one value a row; see `MapReader.values`."""
+        """Return one field, or column, or array of one value a row; see `MapReader.values`."""
         for number, (owner, header) in enumerate(self._columns):
-            named = header.dtype.names or ()
-            if name in named or (owner == name and not named and header.row_elements == 1):
-                rows = np.ascontiguousarray(records[f"array {number}"]).view(header.dtype)
-                return np.asarray(rows[name] if named else rows)
+            rows = records[f"array {number}"]
+            names = [field.name for field in self._fields_of(owner, header)]
+            if name not in names:
+                continue
+            if header.dtype.names:
+                return np.asarray(rows.view(header.dtype)[name])
+            if len(names) == header.row_elements:
+                columns = rows.view(np.dtype((header.dtype, (len(names),))))
+                return np.asarray(columns[:, names.index(name)])
         return super().values(records, name)
+
+    @property
+    def sets_values(self) -> bool:
+        """Always: every element has its place."""
+        return True
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an archive like this one; see `MapReader.writer`."""

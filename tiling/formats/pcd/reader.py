@@ -256,23 +256,24 @@ class PcdReader(MapReader):
         model._header = self._header.without_viewpoint()
         return model
 
-    def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
-        """Return binary records with other coordinates; see `MapReader.moved`."""
-        records = records.copy()
-        with np.errstate(over="ignore", invalid="ignore"):
-            for axis, field in enumerate(self._header.coordinates):
-                self._field_of(records, field)[:] = xyz[:, axis]
-        return records
+    @property
+    def sets_values(self) -> bool:
+        """Whether the points are binary; see `MapReader.sets_values`."""
+        return self._header.encoding != "ascii"
 
     def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
         """Return the first value of a field of binary records."""
-        return np.ndarray(
-            len(records),
-            dtype=np.dtype(field.dtype).newbyteorder("<"),
-            buffer=records,
-            offset=sum(other.width for other in self._stored if other.offset < field.offset),
-            strides=(records.itemsize,),
+        offset = sum(other.width for other in self._stored if other.offset < field.offset)
+        kind = np.dtype(field.dtype).newbyteorder("<")
+        row = np.dtype(
+            {
+                "names": ["value"],
+                "formats": [kind],
+                "offsets": [offset],
+                "itemsize": records.itemsize,
+            }
         )
+        return np.asarray(records.view(row)["value"])
 
     @property
     def bytes_per_point(self) -> int:

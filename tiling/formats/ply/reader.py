@@ -137,6 +137,11 @@ class PlyReader(MapReader):
         column = names.index(name)
         return cast(TextRows, records).column(column, vertex.properties[column].dtype)
 
+    @property
+    def sets_values(self) -> bool:
+        """Whether the vertices are binary records of one size."""
+        return self.writes_parts
+
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a PLY file like this one; see `MapReader.writer`."""
         if self.writes_parts:

@@ -34,7 +34,7 @@ def lobby(stage: Stage, told: MeshParameters) -> None:
         else:
             outer_wall(stage, here, there, 0, high)
     _pillars(stage, long, wide, high)
-    _counters(stage, long, wide)
+    _counters(stage, long)
     _islands(stage, told, long, wide)
     _railings(stage, long, wide)
     _upper_floor(stage, long, wide, high)
@@ -50,7 +50,7 @@ def _pillars(stage: Stage, long: float, wide: float, high: float) -> None:
                     pillar(stage, x, y, high)
 
 
-def _counters(stage: Stage, long: float, wide: float) -> None:
+def _counters(stage: Stage, long: float) -> None:
     """Put counters along one side, with a queue between tapes before the first."""
     random, u = stage.random, stage.random.uniform
     for number in range(int(u(1, 4))):
