@@ -1,24 +1,31 @@
 """Maps whose bytes are changed, again and again: each is read in full, or refused in one line.
 
-    python -m benchmarks.mutations MAP... [--times 1000] [--every 50] [--seed 0]
+    python -m benchmarks.mutations MAP... [--times 1000 | --seconds S] [--every 50] [--seed 0]
 
 Of each map, bits are flipped, bytes put in, taken out, doubled and cut off, and numbers of the
 header made others. What comes of it must be as many points as the file then counts, or one short
 line of an error that is expected, soon. With each `--every`-th a whole run is made: it ends with
 results that `verify` proves, or with none, and the file is as it was. A process of its own works on
-each map, since a crash must be seen. Prints what came of it, and ends with 1 if any harm was done.
+each map, since a crash must be seen, so many times or for so many seconds. Prints what came of it,
+keeps what did harm, and ends with 1 if there was any.
 """
 
 import argparse
 import multiprocessing
+import os
 import random
 import re
 import resource
+import shutil
+import signal
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import count
 from pathlib import Path
 
 from benchmarks.attack import HarmError, digest_of
@@ -33,8 +40,35 @@ from tiling.errors import TilingError
 
 SETTINGS = ("neighbours.k=8", "clustering.count=2", "ground.method=none", "output.report=none")
 LONGEST_SECONDS = 10.0
+HANGS_AFTER = 60
+"""Seconds; libraries in C cannot be interrupted, so the process is ended."""
+
 MOST_BYTES = 2 << 30
 """Of a process; compiled code and libraries take 0.4 GB of it."""
+
+IN_MEMORY = Path("/dev/shm")
+"""Where files cost a hundredth of what they cost on a disk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """How much is done to each map.
+
+    Attributes
+    ----------
+    times : int or None
+        Mutations; None: as many as there is time for.
+    seconds : float
+        After so many no other one is begun.
+    every : int
+        With each so manieth a whole run is made.
+    seed : int
+    """
+
+    times: int | None
+    seconds: float
+    every: int
+    seed: int
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:
@@ -68,14 +102,16 @@ def sealed(content: bytes) -> bytes:
 
     Else each change would be found by them alone.
     """
-    pages = []
-    for start in range(0, len(content) - len(content) % 1024, 1024):
-        page = content[start : start + 1020]
-        checksum = 0xFFFFFFFF
-        for byte in page:
-            checksum = _CASTAGNOLI[(checksum ^ byte) & 0xFF] ^ checksum >> 8
-        pages.append(page + (checksum ^ 0xFFFFFFFF).to_bytes(4, "big"))
-    return b"".join(pages)
+    pages = [content[at : at + 1020] for at in range(0, len(content) - 1023, 1024)]
+    return b"".join(page + _checksum(page) for page in pages)
+
+
+@lru_cache(1000)
+def _checksum(page: bytes) -> bytes:
+    checksum = 0xFFFFFFFF
+    for byte in page:
+        checksum = _CASTAGNOLI[(checksum ^ byte) & 0xFF] ^ checksum >> 8
+    return (checksum ^ 0xFFFFFFFF).to_bytes(4, "big")
 
 
 def _castagnoli() -> list[int]:
@@ -94,53 +130,76 @@ def main(given: Sequence[str] | None = None) -> None:
     """Change maps, and say what came of it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("maps", nargs="+", type=Path)
-    parser.add_argument("--times", type=int, default=1000)
+    parser.add_argument("--times", type=int)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--every", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args(given)
-    digests = {path: digest_of(path) for path in arguments.maps}
-    harm = 0
-    for path in arguments.maps:
-        work = (path, arguments.times, arguments.every, arguments.seed)
+    given_all = parser.parse_args(given)
+    times = given_all.times
+    if times is None and given_all.seconds == float("inf"):
+        times = 1000
+    extent = Extent(times, given_all.seconds, given_all.every, given_all.seed)
+    digests = {path: digest_of(path) for path in given_all.maps}
+    harmed = [path for path in digests if not attacked(path, extent)]
+    changed = [path for path, digest in digests.items() if digest_of(path) != digest]
+    print("\n".join(f"HARM: {path} was changed" for path in changed) or "inputs untouched")
+    sys.exit(1 if harmed or changed else 0)
+
+
+def attacked(path: Path, extent: Extent) -> bool:
+    """Change one map again and again, in a process of its own; return whether no harm was done."""
+    place = IN_MEMORY if os.access(IN_MEMORY, os.W_OK) else None
+    with tempfile.TemporaryDirectory(dir=place) as folder:
+        work = (path, Path(folder), extent)
         process = multiprocessing.get_context("spawn").Process(target=attack, args=work)
         process.start()
         process.join()
         if process.exitcode:
-            print(f"HARM: {path.name}: the process ended with {process.exitcode}")
-            harm += 1
-    changed = [path for path, digest in digests.items() if digest_of(path) != digest]
-    print("\n".join(f"HARM: {path} was changed" for path in changed) or "inputs untouched")
-    sys.exit(1 if harm or changed else 0)
+            kept = Path(tempfile.mkdtemp(prefix="harm_")) / path.name
+            shutil.copy(Path(folder) / path.name, kept)
+            print(f"HARM: {path.name}: exit code {process.exitcode}; kept as {kept}", flush=True)
+        return not process.exitcode
 
 
-def attack(path: Path, times: int, every: int, seed: int) -> None:
-    """Change one map so many times, and print what came of it; end with 1 at the first harm."""
+def attack(path: Path, folder: Path, extent: Extent) -> None:
+    """Change one map again and again, and print what came of it; end with 1 at the first harm."""
+    target = folder / path.name
+    shutil.copy(path, target)
+    _run(target, folder / "out")  # compiles what is not compiled yet
+    _be_quiet()
     content = path.read_bytes()
-    chance = random.Random(f"{path.name} {seed}")
+    chance = random.Random(f"{path.name} {extent.seed}")
     done: Counter[str] = Counter()
-    with tempfile.TemporaryDirectory() as folder:
-        _run(path, Path(folder) / "out")  # compiles what is not compiled yet
-        slowest, begun = 0.0, time.monotonic()
-        for number in range(times):
-            target = Path(folder) / path.name
-            changed = mutated(content, chance)
-            is_sealed = path.suffix == ".e57" and chance.random() < 0.9
-            target.write_bytes(sealed(changed) if is_sealed else changed)
-            start = time.monotonic()
-            try:
-                done[_read(target)] += 1
-                if number % every == 0:
-                    done[_run(target, Path(folder) / f"out{number}")] += 1
-                slowest = max(slowest, time.monotonic() - start)
-                _check_cost(slowest)
-            except Exception as error:  # whatever is not expected
-                kept = Path(tempfile.gettempdir()) / f"harm_{number}_{path.name}"
-                kept.write_bytes(target.read_bytes())
-                print(f"HARM: {path.name}, mutation {number}, kept as {kept}: {error!r}")
-                sys.exit(1)
-    came = ", ".join(f"{count} {what}" for what, count in sorted(done.items()))
+    slowest, begun = 0.0, time.monotonic()
+    for number in count() if extent.times is None else range(extent.times):
+        start = time.monotonic()
+        if start > begun + extent.seconds:
+            break
+        signal.alarm(HANGS_AFTER)
+        changed = mutated(content, chance)
+        is_sealed = path.suffix == ".e57" and chance.random() < 0.9
+        target.write_bytes(sealed(changed) if is_sealed else changed)
+        try:
+            done[_read(target)] += 1
+            if number % extent.every == 0:
+                done[_run(target, folder / f"out{number}")] += 1
+                shutil.rmtree(folder / f"out{number}", ignore_errors=True)
+            slowest = max(slowest, time.monotonic() - start)
+            _check_cost(slowest)
+        except Exception as error:  # whatever is not expected
+            print(f"HARM: {path.name}, seed {extent.seed}, mutation {number}: {error!r}")
+            sys.exit(1)
+    signal.alarm(0)
+    came = ", ".join(f"{times} {what}" for what, times in sorted(done.items()))
     seconds = time.monotonic() - begun
-    print(f"{path.name}: {came}; slowest {slowest:.1f} s, {seconds:.0f} s in all")
+    print(f"{path.name}: {came}; slowest {slowest:.1f} s, {seconds:.0f} s in all", flush=True)
+
+
+def _be_quiet() -> None:
+    """Say no more on standard error: Rust tells there of each file that it cannot decode."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
 
 
 def _read(path: Path) -> str:

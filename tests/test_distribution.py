@@ -28,7 +28,8 @@ def test_the_workflow_runs_what_is_run_here():
     commands = [
         [step["run"] for step in job["steps"] if "run" in step] for job in workflow["jobs"].values()
     ]
-    assert commands == [[".ci/run"], [".ci/lowest"]]
+    assert commands == [[".ci/run"], [".ci/run"], [".ci/lowest"], [".ci/attack"]]
+    assert workflow["jobs"]["newest"]["env"] == {"PIP_CONSTRAINT": ""}
     matrix = workflow["jobs"]["all"]["strategy"]["matrix"]
     assert all(f"Programming Language :: Python :: {each}" in PROJECT["classifiers"]
                for each in matrix["python"])  # fmt: skip

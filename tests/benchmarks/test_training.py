@@ -30,7 +30,8 @@ SMALL = FitOptions(points=600, first_trees=10, first_leaves=6, second_trees=8, s
 def a_map(number, kind, count=2_000):
     """A map in which what is less dense than its surroundings moved, mostly."""
     random = np.random.default_rng(number)
-    terms = random.normal(size=(count, len(POSED_TERMS))).astype(np.float32)
+    # In tenths: of more values than bins, scikit-learn seeks percentiles, for seconds.
+    terms = random.normal(size=(count, len(POSED_TERMS))).round(1).astype(np.float32)
     terms[random.random(terms.shape) < 0.05] = np.nan
     likely = np.nan_to_num(-terms[:, DENSITY]) + 0.3 * random.normal(size=count) > 1
     truth = np.where(likely, MOVED, STATIC).astype(np.int8)

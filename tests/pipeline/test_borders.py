@@ -59,7 +59,7 @@ def whole(points, clusters, parameters):
     return membership, density, spread
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=15)
 @given(
     st.integers(0, 2**32 - 1),
     st.integers(4, 60),

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: in a process of its own."""
+"""The command line as a user meets it: in a process of its own, where that can matter."""
 
 import json
 import os
@@ -9,10 +9,13 @@ import sys
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
+from subprocess import CompletedProcess
 from time import monotonic
 
 import numpy as np
 import pytest
+
+from pipeline.commands.app import main
 
 COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()"]
 
@@ -22,6 +25,24 @@ def call(*arguments, **options):
     return subprocess.run(
         command, check=False, capture_output=True, text=True, timeout=120, **options
     )
+
+
+@pytest.fixture
+def call_here(tmp_path, monkeypatch, capsys):
+    """Call in this process, which spares a second each time."""
+    wanted = (signal.SIGTERM, signal.SIGHUP)
+    before = [signal.getsignal(each) for each in wanted]
+
+    def called(*arguments):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["dynahull-pipeline", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return CompletedProcess(arguments, ended.value.code, *capsys.readouterr())
+
+    yield called
+    for each, handler in zip(wanted, before, strict=True):
+        signal.signal(each, handler)
 
 
 @pytest.fixture
@@ -93,12 +114,12 @@ def test_workers_say_nothing_of_themselves_and_leave_no_folders(map_file, tmp_pa
     assert of_others == []
 
 
-def test_info_says_what_a_map_is(map_file):
-    done = call("info", map_file)
+def test_info_says_what_a_map_is(map_file, call_here):
+    done = call_here("info", map_file)
     assert done.returncode == 0
     for expected in ("1,054", "x: float64", "non-finite  1", "duplicates  3", "CRS         none"):
         assert expected in done.stdout
-    said = json.loads(call("info", map_file, "--json").stdout)
+    said = json.loads(call_here("info", map_file, "--json").stdout)
     assert (said["points"], said["non_finite"], said["duplicates"]) == (1054, 1, 3)
     assert said["maximum"][0] == pytest.approx(5, abs=0.1)
 
@@ -120,12 +141,12 @@ def test_info_says_what_a_map_is(map_file):
     ],
 )
 def test_mistakes_are_one_line_and_an_exit_code_and_write_nothing(
-    arguments, code, message, map_file, tmp_path
+    arguments, code, message, map_file, tmp_path, call_here
 ):
     (tmp_path / "broken.las").write_bytes(b"LASF but not really")
     (tmp_path / "notes.txt").write_text("hello", encoding="utf-8")
     before = sorted(tmp_path.iterdir())
-    done = call(*arguments, cwd=tmp_path)
+    done = call_here(*arguments)
     assert done.returncode == code, done.stderr
     errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
     assert len(errors) == 1
@@ -142,10 +163,10 @@ def test_output_that_nobody_reads_ends_the_command_as_it_does_other_tools():
     assert said == b""
 
 
-def test_wrong_usage_is_exit_code_two():
+def test_wrong_usage_is_exit_code_two(call_here):
     assert call("run").returncode == 2
-    assert call("clean-up").returncode == 2
-    assert call("run", "x.pcd", "--nonsense").returncode == 2
+    assert call_here("clean-up").returncode == 2
+    assert call_here("run", "x.pcd", "--nonsense").returncode == 2
 
 
 def test_the_version_is_the_package_s():
@@ -176,16 +197,16 @@ def test_stopped_in_the_middle_leaves_nothing(wanted, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["big.npy"]
 
 
-def test_help_has_the_commands_in_the_order_of_a_first_day():
-    shown = re.findall(r"^│ ([a-z]+) ", call("--help").stdout, re.MULTILINE)
+def test_help_has_the_commands_in_the_order_of_a_first_day(call_here):
+    shown = re.findall(r"^│ ([a-z]+) ", call_here("--help").stdout, re.MULTILINE)
     assert shown[:6] == ["simulate", "info", "preview", "run", "view", "evaluate"]
     assert "clean" not in shown  # an alias
 
 
-def test_the_former_name_of_discard_works_with_a_note(tmp_path):
-    done = call("clean", tmp_path)
+def test_the_former_name_of_discard_works_with_a_note(tmp_path, call_here):
+    done = call_here("clean", tmp_path)
     assert done.stderr.startswith("note: clean is called discard now")
-    assert done.stderr.splitlines()[1:] == call("discard", tmp_path).stderr.splitlines()
+    assert done.stderr.splitlines()[1:] == call_here("discard", tmp_path).stderr.splitlines()
     assert done.returncode == 1
 
 
@@ -198,25 +219,25 @@ def test_quiet_says_the_answer_alone_and_verbose_where_an_error_comes_from(map_f
     assert "Traceback" not in call("info", tmp_path / "none.npy").stderr
 
 
-def test_the_key_that_is_missing_beside_another_is_named(map_file):
-    done = call("run", map_file, "--set", "removal.max_percent=3")
+def test_the_key_that_is_missing_beside_another_is_named(map_file, call_here):
+    done = call_here("run", map_file, "--set", "removal.max_percent=3")
     assert done.returncode == 2
     assert "set removal.min_percent as well, to no more than 3" in done.stderr
 
 
-def test_plan_and_status_as_json(map_file, tmp_path):
+def test_plan_and_status_as_json(map_file, call_here):
     settings = ["--set", "ground.method=none", "--set", "neighbours.k=20"]
-    plan = json.loads(call("plan", map_file, *settings, "--json").stdout)
+    plan = json.loads(call_here("plan", map_file, *settings, "--json").stdout)
     assert plan["points"] == 1054
     assert plan["one_tile"]
-    assert call("run", map_file, *settings, cwd=tmp_path).returncode == 0
+    assert call_here("run", map_file, *settings).returncode == 0
     for watch in ([], ["--watch"]):  # a run that has ended is not waited for
-        told = json.loads(call("status", "wall_dynahull", "--json", *watch, cwd=tmp_path).stdout)
+        told = json.loads(call_here("status", "wall_dynahull", "--json", *watch).stdout)
         assert (told["state"], told["is_alive"]) == ("finished", False)
 
 
-def test_the_manual_page_has_every_command_and_option():
-    page = call("manual").stdout
+def test_the_manual_page_has_every_command_and_option(call_here):
+    page = call_here("manual").stdout
     assert page.startswith(".TH DYNAHULL-PIPELINE 1")
     for words in ('.SS "run ', '.SS "nightly ', "\\-\\-keep\\-work", ".SH EXIT STATUS"):
         assert words in page, words

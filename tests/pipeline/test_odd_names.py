@@ -86,30 +86,30 @@ def test_tiles_and_previews_lie_under_odd_names(odd_folder):
     preview([str(given)], odd_folder / "out", settings, observer(), points=1_000, window=WHOLE)
 
 
-@pytest.mark.parametrize("name", ["plain", "höhle", ODD])
 @pytest.mark.parametrize("locale", LOCALES)
-def test_commands_work_in_any_locale(tmp_path, locale, name):
+def test_commands_work_in_any_locale(tmp_path, locale):
     """Workers and all: what is said at the end is said without a word of Python's own."""
-    given = save(tmp_path / f"{name}.npy")
+    names = ("plain", "höhle", ODD)
+    given = [save(tmp_path / f"{name}.npy") for name in names]
+    output = tmp_path / f"out höhle {ODD}"
     environment = {
         key: value
         for key, value in os.environ.items()
         if not key.startswith(("LC_", "LANG", "PYTHON"))
     } | LOCALES[locale]
-    clean_it = ["run", given, "-o", tmp_path / f"out {name}"]
+    clean_it = ["run", *given, "-o", output]
     settings = [f"--set={each}" for each in (*TILED[:-2], "execution.workers=2")]
     program = [sys.executable, "-c", "from pipeline.commands.app import main; main()"]
-    commands = [[*clean_it, *settings]]
-    if name == ODD:
-        commands += [["info", given, "--json"], ["plan", given], ["keys"]]
-    for command in commands:
+    odd = given[-1]
+    for command in ([*clean_it, *settings], ["info", odd, "--json"], ["plan", odd], ["keys"]):
         words = [*program, *command]
         ended = subprocess.run(words, check=False, capture_output=True, env=environment)
         assert ended.returncode == 0, ended.stderr.decode(errors="replace")
         assert b"Traceback" not in ended.stderr
         assert ended.stdout
-    report = json.loads((tmp_path / f"out {name}" / "run.json").read_text())
-    assert report["points"] == len(np.load(given))
+    report = json.loads((output / "run.json").read_text())
+    assert report["points"] == sum(len(np.load(each)) for each in given)
+    assert {path.stem for path in (output / "static").iterdir()} == set(names)
 
 
 def test_names_are_written_as_any_terminal_takes_them():

@@ -109,7 +109,9 @@ def test_a_map_of_few_rows_or_of_one_place(tmp_path):
 
 @pytest.mark.parametrize("name", ["room_static_sensor", "street_64beam_labelled"])
 def test_real_maps(shared_data, tmp_path, name):
-    points = np.asarray(laspy.read(shared_data / "maps" / f"{name}.laz").xyz)
+    with laspy.open(shared_data / "maps" / f"{name}.laz") as reader:
+        first = reader.read_points(4_000_000)
+    points = np.stack([first.x, first.y, first.z], axis=1)
     assert 16_384 <= found(points, tmp_path / "a.npy") <= 131_072
     for order in ("shuffled", "sorted by x", "voxels of 3 cm"):
         assert found(OTHERS[order](points), tmp_path / "a.npy") == 0

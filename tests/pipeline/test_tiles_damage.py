@@ -35,7 +35,7 @@ class Killed(BaseException):
 
 
 def npy_map(folder):
-    points = np.random.default_rng(3).uniform(size=(800, 3)) * [9, 7, 2]
+    points = np.random.default_rng(3).uniform(size=(500, 3)) * [9, 7, 2]
     points[77] = np.nan
     np.save(folder / "map.npy", points)
     return folder / "map.npy"
@@ -46,8 +46,8 @@ def las_map(folder, name="map.las"):
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales = [0.001] * 3
     points = laspy.LasData(header)
-    points.xyz = generator.uniform(size=(800, 3)) * [9, 7, 2]
-    points.classification = generator.integers(1, 3, 800)
+    points.xyz = generator.uniform(size=(500, 3)) * [9, 7, 2]
+    points.classification = generator.integers(1, 3, 500)
     points.write(folder / name)
     return folder / name
 
@@ -57,10 +57,10 @@ def laz_map(folder):
 
 
 def text_map(folder):
-    points = np.random.default_rng(5).uniform(size=(800, 3)) * [9, 7, 2]
-    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 800\nHEIGHT 1\n"
+    points = np.random.default_rng(5).uniform(size=(500, 3)) * [9, 7, 2]
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 500\nHEIGHT 1\n"
     rows = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in points)
-    text = f"{head}VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 800\nDATA ascii\n{rows}\n"
+    text = f"{head}VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 500\nDATA ascii\n{rows}\n"
     (folder / "map.pcd").write_text(text, encoding="utf-8")
     return folder / "map.pcd"
 
@@ -145,7 +145,7 @@ def killed(request, tmp_path_factory):
         return task(job, task_number)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
+        patch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 200)
         patch.setattr("pipeline.tiles.writing.DEFAULT_BATCH", 100)
         cleaned(map_file, place / "whole", wanted)
         patch.setitem(stages.TASKS, stage, killing)
@@ -156,7 +156,7 @@ def killed(request, tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def small_ranges(monkeypatch):
-    monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 300)
+    monkeypatch.setattr("pipeline.work.job.ROWS_AT_A_TIME", 200)
     monkeypatch.setattr("pipeline.tiles.writing.DEFAULT_BATCH", 100)
 
 

@@ -25,6 +25,9 @@ from tiling.output_file import create_file
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
 _READ_BUFFER = 1 << 20
+_SMALL_FILE = 1 << 22
+"""Bytes. Without a buffer whole columns of a row group are in memory, but no page can claim more
+than there is; with one, Arrow takes what the page's header says, up to 2 GiB."""
 _LONGEST_ROW_GROUP = 1 << 20
 """Rows of a row group that the writer gathers in memory, at most."""
 _LARGEST_ROW_GROUP = 1 << 28
@@ -334,7 +337,7 @@ def _opened(path: Path, texts: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
     try:
         with open_parquet(
             path,
-            buffer_size=_READ_BUFFER,
+            buffer_size=_READ_BUFFER if path.stat().st_size > _SMALL_FILE else 0,
             read_dictionary=list(texts),
             pre_buffer=False,
             page_checksum_verification=True,

@@ -64,8 +64,8 @@ def is_half_done(place, path):
 def markers(run):
     """When each task was done; what is written is written anew by a run that goes on."""
     times = {}
-    for path in (run / ".dynahull-work").glob("*/*.done"):
-        with suppress(FileNotFoundError):  # all of them go when the run is complete
+    with suppress(FileNotFoundError):  # all of them go when the run is complete
+        for path in (run / ".dynahull-work").glob("*/*.done"):
             if path.parent.name != "write":
                 times[path] = path.stat().st_mtime_ns
     return times

@@ -162,11 +162,12 @@ def test_without_webgl_it_says_so_and_the_rest_works(opened, dynamic):
 
 
 @pytest.mark.parametrize("name", ["tiled", "judged tiled"])
-@pytest.mark.parametrize("width", [360, 390, 820, 1440])
-def test_nothing_sticks_out_at_the_side(opened, width, name):
-    page = opened(name, width=width)
-    settle(page)
-    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+def test_nothing_sticks_out_at_the_side(opened, name):
+    page = opened(name, width=360)
+    for width in (360, 390, 820, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        settle(page)
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize("name", ["judged", "judged tiled"])
