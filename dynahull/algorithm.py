@@ -21,6 +21,7 @@ from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, cluster_densities
 from dynahull.evidence.model import Judged, judge_points
 from dynahull.evidence.summaries import ScoredPoints
+from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
@@ -274,6 +275,13 @@ def _weighed(
 ) -> Judged:
     """Weigh the evidence for each scored point, in rows; all others are not judged."""
     observer.stage("evidence", len(rows))
+    viewpoints = None
+    if scans is not None:
+        viewpoints = (
+            Viewpoints.of_counts([count_coordinates(points, scans, 0)])
+            if sensor is None
+            else Viewpoints.of_poses(sensor)
+        )
     spread = _scattered(
         np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
     )
@@ -288,7 +296,7 @@ def _weighed(
     unscored = aside.ground | aside.above
     their_scans = None if scans is None else scans[unscored]
     k = parameters.neighbours.k
-    found = judge_points(scored, points[unscored], k, threads, their_scans, sensor)
+    found = judge_points(scored, points[unscored], k, threads, their_scans, viewpoints)
     judged = Judged.nothing(len(points))
     judged.score[rows], judged.reason[rows] = found.score, found.reason
     observer.advance(len(rows))

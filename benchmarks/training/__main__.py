@@ -31,7 +31,7 @@ from benchmarks.training.judging import (
     reliability,
 )
 from benchmarks.training.maps import TrainingMap, training_maps
-from dynahull.evidence.model import MAP_ONLY, MODEL_FILES, AskedTerms
+from dynahull.evidence.model import MAP_ONLY, MODELS, AskedTerms
 from dynahull.parameters import RemovalParameters
 
 
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
-    models = list(MODEL_FILES.values())
+    models = list(MODELS)
     parser.add_argument("--models", nargs="+", choices=models, default=models)
     parser.add_argument("--plot", type=Path, help="write the reliability plot there (extra: plot)")
     arguments = parser.parse_args()
@@ -55,11 +55,12 @@ def main() -> None:
         maps = list(training_maps(seeds, folder, arguments.workers))
         points = sum(len(each.xyz) for each in maps)
         print(f"{len(maps)} maps, {points:,} scored points, {time.monotonic() - begun:.0f} s")
-        for asked, name in MODEL_FILES.items():
+        timed = [each for each in maps if each.is_timed]
+        posed = [each.posed() for each in timed]
+        for name, known in zip(MODELS, (maps, timed, posed), strict=True):
             if name in arguments.models:
-                known = [each for each in maps if each.terms.shape[1] >= len(asked.first)]
                 print(f"\n{name}: {len(known)} maps, {time.monotonic() - begun:.0f} s")
-                learn(known, asked, arguments.out / name, arguments)
+                learn(known, MODELS[name], arguments.out / name, arguments)
         print(f"{time.monotonic() - begun:.0f} s")
 
 

@@ -17,7 +17,8 @@ from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
-from dynahull.evidence.terms import POSED_TERMS, TERMS, evidence
+from dynahull.evidence.terms import SEEN_TERMS, TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
@@ -59,8 +60,10 @@ class TrainingMap:
         Of the points that are scored.
     truth : (n,) int8 array
         `UNKNOWN`, `STATIC` or `MOVED`.
-    terms : (n, len(TERMS)) or (n, len(POSED_TERMS)) float32 array
-        Read from its file as it is asked for; the latter where scans and poses are known.
+    terms : (n, len(TERMS)) or (n, len(TIMED_TERMS) + len(SEEN_TERMS)) float32 array
+        Read from its file as it is asked for. The latter where scans are known: the last of
+        `TIMED_TERMS` are those of scans looked at from their middles, what follows is the same
+        from where the sensor was.
     unscored_static, unscored_moved : int
         Points that no decision can take: ground.
     """
@@ -70,9 +73,38 @@ class TrainingMap:
     sensor: str
     xyz: NDArray[np.float64]
     truth: NDArray[np.int8]
-    terms: NDArray[np.float32]
+    terms: "NDArray[np.float32] | _ChosenColumns"
     unscored_static: int
     unscored_moved: int
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether the scans are known."""
+        return bool(self.terms.shape[1] > len(TERMS))
+
+    def posed(self) -> "TrainingMap":
+        """Return the map as it is when poses are known."""
+        seen = len(TIMED_TERMS) - len(SEEN_TERMS)
+        columns = np.r_[:seen, len(TIMED_TERMS) : len(TIMED_TERMS) + len(SEEN_TERMS)]
+        return replace(self, terms=_ChosenColumns(self.terms, columns))
+
+
+class _ChosenColumns:
+    """Some columns of a table in a file, as if they were all of it."""
+
+    def __init__(
+        self, table: "NDArray[np.float32] | _ChosenColumns", columns: NDArray[np.intp]
+    ) -> None:
+        self._table = table
+        self._columns = columns
+        self.shape = (len(table), len(columns))
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __getitem__(self, wanted: Any) -> NDArray[np.float32]:
+        rows, columns = wanted if isinstance(wanted, tuple) else (wanted, slice(None))
+        return np.asarray(self._table[rows][:, self._columns[columns]])
 
 
 def training_maps(seeds: range, folder: Path, workers: int) -> Iterator[TrainingMap]:
@@ -126,9 +158,14 @@ class _Scans:
         keep = random.random(len(self.xyz)) < share
         return replace(self, xyz=self.xyz[keep], scan=self.scan[keep])
 
-    def views(self) -> Views:
-        parts = [(self.xyz, self.scan)]
-        return Views(self.places, partial(draw_images, parts, self.places))
+    def views(self, viewpoints: Viewpoints) -> Views:
+        parts = [(self.xyz, viewpoints.rows(self.scan))]
+        return Views(viewpoints.places, partial(draw_images, parts, viewpoints.places))
+
+    def both_views(self) -> list[Views]:
+        """Return what is seen from the middles of scans, and from where the sensor was."""
+        middles = Viewpoints.of_counts([count_coordinates(self.xyz, self.scan, 0)])
+        return [self.views(middles), self.views(Viewpoints.of_poses(self.places))]
 
 
 def _simulated(seed: int, random: np.random.Generator) -> _Made:
@@ -250,15 +287,21 @@ def _measure(path: Path, made: _Made) -> bool:
     if scan is not None:
         points = replace(points, scan=scan[rows])
     ground = summarise_ground(xyz[aside], None if scan is None else scan[aside])
-    views = None if scan is None else made.scans.views()
-    surroundings = Surroundings.of(Voxels.merged([summarise_points(points), ground]), views)
-    count = len(TERMS if scan is None else POSED_TERMS)
+    voxels = Voxels.merged([summarise_points(points), ground])
+    middles, places = [None, None] if scan is None else made.scans.both_views()
+    surroundings = Surroundings.of(voxels, middles)
+    posed = None if places is None else Surroundings.of(voxels, places)
+    count = len(TERMS) if posed is None else len(TIMED_TERMS) + len(SEEN_TERMS)
     terms = np.lib.format.open_memmap(
         path.with_suffix(".terms.npy"), "w+", np.float32, (len(points), count)
     )
     for begin in range(0, len(points), _BATCH):
-        part = points.part(slice(begin, begin + _BATCH))
-        terms[begin : begin + _BATCH] = evidence(part, parameters.neighbours.k, surroundings)
+        part, own = points.part(slice(begin, begin + _BATCH)), slice(begin, begin + _BATCH)
+        found = evidence(part, parameters.neighbours.k, surroundings)
+        terms[own, : found.shape[1]] = found
+        if posed is not None:
+            seen = evidence(part, parameters.neighbours.k, posed)[:, -len(SEEN_TERMS) :]
+            terms[own, found.shape[1] :] = seen
     np.savez(
         path.with_suffix(".npz"),
         xyz=points.xyz,

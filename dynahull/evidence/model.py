@@ -28,7 +28,8 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings, Terms
-from dynahull.evidence.terms import POSED_TERMS, TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.terms import TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.viewpoints import Viewpoints
 from dynahull.evidence.visits import Scans
 from dynahull.threads import over_ranges
 
@@ -66,18 +67,13 @@ TIMED_KEPT_TERMS = (
     "scans_8_1.2",
     "scans_1_4.8",
     "scans_8_4.8",
-)
-"""The same, of a map whose scans are known."""
-
-POSED_KEPT_TERMS = (
-    *TIMED_KEPT_TERMS,
     "clearly_0.1",
     "met_0.1",
     "clear_share_0.3",
     "through_share_0.3",
     "clear_share_1.2",
 )
-"""The same, of a map whose scans and poses are known."""
+"""The same, of a map whose scans are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +103,9 @@ MAP_ONLY = AskedTerms.of(TERMS, KEPT_TERMS)
 TIMED = AskedTerms.of(TIMED_TERMS, TIMED_KEPT_TERMS)
 """What is asked of a map whose scans are known."""
 
-POSED = AskedTerms.of(POSED_TERMS, POSED_KEPT_TERMS)
-"""What is asked of a map whose scans and poses are known."""
-
-MODEL_FILES = {MAP_ONLY: "model.json", TIMED: "timed_model.json", POSED: "posed_model.json"}
+MAP_FILE, TIMED_FILE, POSED_FILE = "model.json", "timed_model.json", "posed_model.json"
+MODELS = {MAP_FILE: MAP_ONLY, TIMED_FILE: TIMED, POSED_FILE: TIMED}
+"""The models that come with the package, for maps whose scans, or also their poses, are known."""
 
 _BATCH = 50_000
 """Points whose terms are held at a time."""
@@ -155,7 +150,7 @@ class EvidenceModel:
     Attributes
     ----------
     first, second : Forest
-        Over the terms of one of `MODEL_FILES`.
+        Over the terms of `MAP_ONLY` or of `TIMED`.
     """
 
     first: Forest
@@ -177,7 +172,7 @@ class EvidenceModel:
         """
         first, second = Forest.of(stored["first"]), Forest.of(stored["second"])
         model = cls(first, second)
-        if model.asked not in MODEL_FILES:
+        if model.asked not in MODELS.values():
             raise InvalidParametersError(
                 "evidence model: expected the terms of this version, found others"
             )
@@ -263,7 +258,7 @@ def judge_points(
     k: int,
     threads: int = 1,
     unscored_scan: Scans | None = None,
-    sensor: Floats | None = None,
+    viewpoints: Viewpoints | None = None,
 ) -> Judged:
     """Judge all points of a map.
 
@@ -279,14 +274,15 @@ def judge_points(
         They change nothing about the result.
     unscored_scan : (m,) int32 array, optional
         Their scans, if those of the points are known.
-    sensor : (S, 3) float64 array, optional
-        Where the sensor was in each scan, if the scans are known.
+    viewpoints : Viewpoints, optional
+        Of the scans, if these are known.
     """
     views = None
-    if points.scan is not None and unscored_scan is not None and sensor is not None:
-        parts = [(points.xyz, points.scan), (unscored, unscored_scan)]
-        views = Views(sensor, partial(draw_images, parts, sensor))
-    model = evidence_model(MAP_ONLY if points.scan is None else TIMED if views is None else POSED)
+    if points.scan is not None and unscored_scan is not None and viewpoints is not None:
+        parts = [(points.xyz, viewpoints.rows(points.scan))]
+        parts += [(unscored, viewpoints.rows(unscored_scan))]
+        views = Views(viewpoints.places, partial(draw_images, parts, viewpoints.places))
+    model = evidence_model(model_file(viewpoints))
     voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)])
     surroundings = Surroundings.of(voxels, views, threads)
     del voxels
@@ -326,10 +322,17 @@ def probabilities(log_odds: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return found
 
 
+def model_file(viewpoints: Viewpoints | None) -> str:
+    """Return the name of the model for what is known of a map's scans."""
+    if viewpoints is None:
+        return MAP_FILE
+    return POSED_FILE if viewpoints.are_told else TIMED_FILE
+
+
 @lru_cache(maxsize=3)
-def evidence_model(asked: AskedTerms = MAP_ONLY) -> EvidenceModel:
-    """Return the model that comes with the package for what is known of a map."""
-    file = files("dynahull.evidence").joinpath(MODEL_FILES[asked])
+def evidence_model(name: str = MAP_FILE) -> EvidenceModel:
+    """Return one of `MODELS`."""
+    file = files("dynahull.evidence").joinpath(name)
     return EvidenceModel.of(json.loads(file.read_text(encoding="utf-8")))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.terms import POSED_TERMS
+from dynahull.evidence.terms import TIMED_TERMS
 
 REASONS: dict[str, tuple[str, ...]] = {
     "no surface: its neighbours fill a volume": (
@@ -38,7 +38,7 @@ def _reason_of(term: str) -> int:
     raise ValueError(f"{term}: expected a reason, found none")
 
 
-_FAMILY = np.array([_reason_of(term) for term in POSED_TERMS], np.int32)
+_FAMILY = np.array([_reason_of(term) for term in TIMED_TERMS], np.int32)
 
 
 def reasons(
@@ -52,7 +52,7 @@ def reasons(
     Parameters
     ----------
     forest : Forest
-        Over `TERMS`, `TIMED_TERMS` or `POSED_TERMS`.
+        Over `TERMS` or `TIMED_TERMS`.
     terms : (n, len(forest.terms)) float32 array
     log_odds : (n,) float32 array
     """

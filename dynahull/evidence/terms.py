@@ -55,9 +55,6 @@ SCAN_TERMS = tuple(f"scans_{span}_{box}" for box in BOXES for span in SPANS)
 """Logarithms of how many scans saw the smallest box, by so many scans on end; and, for the larger
 boxes, of how many more saw them."""
 
-TIMED_TERMS = (*TERMS, *SCAN_TERMS)
-"""All terms of a map whose scans are known."""
-
 SEEN_TERMS = (
     *(f"{name}_{FINEST}" for name in ("clearly", "through", "met")),
     *(f"{name}_{box}" for box in BOXES for name in ("clear_share", "through_share")),
@@ -65,8 +62,8 @@ SEEN_TERMS = (
 """Logarithms of how many scans saw clearly through the voxel of a point, through it, and met it;
 shares of the scans that saw through boxes."""
 
-POSED_TERMS = (*TIMED_TERMS, *SEEN_TERMS)
-"""All terms of a map that is known to have been seen from where."""
+TIMED_TERMS = (*TERMS, *SCAN_TERMS, *SEEN_TERMS)
+"""All terms of a map whose scans are known."""
 
 _OWN_SCANS = len(SPANS)
 
@@ -102,7 +99,7 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
 
     Returns
     -------
-    (n, len(TERMS)), (n, len(TIMED_TERMS)) or (n, len(POSED_TERMS)) float32 array
+    (n, len(TERMS)) or (n, len(TIMED_TERMS)) float32 array
         NaN where there is nothing to tell.
     """
     log_density, log_thickness = points.log_density(), points.log_thickness()

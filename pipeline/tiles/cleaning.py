@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
+from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.viewpoints import Viewpoints
 from dynahull.labels import Label
 from dynahull.rescale import removal_percentages
 from dynahull.result import ClusterSummary
@@ -23,9 +25,15 @@ from pipeline.errors import PlanError
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.scan_numbers import find_scans
-from pipeline.tiles.cutting import make_copies, save_set_aside, set_aside, warn_of_set_aside
+from pipeline.tiles.cutting import (
+    COORDINATES,
+    make_copies,
+    save_set_aside,
+    set_aside,
+    warn_of_set_aside,
+)
 from pipeline.tiles.density import KeptScores, first_cluster
-from pipeline.tiles.ground import SAMPLE_NAMES
+from pipeline.tiles.ground import SAMPLE_NAMES, summaries
 from pipeline.tiles.labelling import RowResults, save_cuts
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.thresholds import Cut, find_cuts
@@ -39,6 +47,7 @@ from pipeline.work.job import (
     PLANNING,
     SCANS_FILE,
     TIMING,
+    VIEWPOINTS_FILE,
     Job,
 )
 from pipeline.workers.executors import Executor
@@ -153,9 +162,11 @@ def plan_tiles(
         warn_of_set_aside(job, observer)
         return
     try:
-        survey, strays, marked = _whole_survey(job, reports)
+        survey, strays, marked, coordinates = _whole_survey(job, reports)
         with noting() as written:
             save_set_aside(job, strays, *marked)
+            if job.scan_source is not None:
+                _keep_viewpoints(job, Viewpoints.of_counts(coordinates))
         warn_of_set_aside(job, observer)
         plan = make_plan(job.collection, survey, job.configuration, executor.workers)
         check(plan)
@@ -223,8 +234,9 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
 
 def _whole_survey(
     job: Job, reports: Iterator[tuple[int, TaskReport]]
-) -> tuple[Survey, Strays, list[int]]:
+) -> tuple[Survey, Strays, list[int], list[Voxels]]:
     """Put the surveys of all ranges of rows together; count points left out and protected."""
+    coordinates: list[Voxels] = []
     outskirts = Outskirts(job.configuration.neighbours.k)
     marked = [0, 0]
 
@@ -234,11 +246,19 @@ def _whole_survey(
                 Outskirts.from_arrays(*job.work.load("survey", number, *OUTSKIRTS_NAMES))
             )
             marked[:] = map(sum, zip(marked, report.counts, strict=True))
+            (found,) = summaries(job, "survey", number, COORDINATES)
+            parts = [*coordinates, Voxels(found.cells, found.values.astype(np.int64))]
+            coordinates[:] = [Voxels.merged(parts)]
             yield Survey.from_arrays(*job.work.load("survey", number, *_SURVEY_NAMES))
 
     merged = merge(surveys())
     strays = outskirts.strays()
-    return survey_of_others(merged, strays), strays, marked
+    return survey_of_others(merged, strays), strays, marked, coordinates
+
+
+def _keep_viewpoints(job: Job, viewpoints: Viewpoints) -> None:
+    with atomic_file(job.root / VIEWPOINTS_FILE) as temporary:
+        write_arrays(temporary, {"numbers": viewpoints.numbers, "places": viewpoints.places})
 
 
 def _store(job: Job, plan: Plan, survey: Survey) -> ChunkStore:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.checking import valid_points
+from dynahull.evidence.lattice import Voxels
+from dynahull.evidence.viewpoints import count_coordinates
 from dynahull.labels import Label
 from dynahull.progress import Observer
 from dynahull.strays import Strays, is_at_origin, warn_of_strays
@@ -27,6 +29,7 @@ from tiling.pieces import gathered, sort_by_tile
 from tiling.survey import survey_batches
 
 SET_ASIDE_FILE = "set_aside.json"
+COORDINATES = "coordinates"
 _MARKS = "marks"
 _AT_A_TIME = 1 << 22
 
@@ -144,7 +147,8 @@ def make_copies(job: Job) -> None:
 def survey_rows(job: Job, number: int) -> TaskReport:
     """Survey one range of rows; keep of them what the map need not be read for again."""
     rows = job.row_ranges[number]
-    read = _values_kept(job, job.collection.batches(rows=rows))
+    counts = [Voxels(np.zeros((0, 3), np.int32), np.zeros((0, 1), np.int64))]
+    read = _values_kept(job, job.collection.batches(rows=rows), counts)
     batches = (batch for _, batch in read) if job.decoded is None else job.decoded.keep(read)
 
     def note(first_row: int, found: NDArray[np.uint8]) -> None:
@@ -152,14 +156,16 @@ def survey_rows(job: Job, number: int) -> TaskReport:
 
     watcher = Watcher(job.configuration, note)
     survey = survey_batches(watcher.watch(batches))
-    job.work.save("survey", number, **survey.to_arrays(), **watcher.outskirts.to_arrays())
+    coordinates = Voxels.merged(counts).to_arrays(COORDINATES)
+    strays = watcher.outskirts.to_arrays()
+    job.work.save("survey", number, **survey.to_arrays(), **strays, **coordinates)
     return TaskReport(len(rows), (watcher.left_out, watcher.protected))
 
 
 def _values_kept(
-    job: Job, read: Iterator[tuple[int, PointBatch]]
+    job: Job, read: Iterator[tuple[int, PointBatch]], counts: list[Voxels]
 ) -> Iterator[tuple[int, PointBatch]]:
-    """Keep classes and scan numbers of points that pass, where they are needed."""
+    """Keep classes and scan numbers of points that pass, and count coordinates, where needed."""
     source = job.scan_source
     for file, batch in read:
         if job.needs_classes and batch.classification is not None:
@@ -167,6 +173,7 @@ def _values_kept(
         if source is not None:
             numbers = source.numbers(job.collection, file, batch)
             write_rows(job.rows_path("scan"), batch.first_row, numbers)
+            counts.append(count_coordinates(batch.xyz, numbers, batch.first_row))
         yield file, batch
 
 

@@ -99,10 +99,10 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
 
 def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:
     """Return what the points of a tile's core say of the scans' range images."""
-    scans = None if job.sensor is None else job.scans_of(chunk.rows[chunk.core])
-    if scans is None or job.sensor is None:
+    viewpoints, scans = job.viewpoints, job.scans_of(chunk.rows[chunk.core])
+    if viewpoints is None or scans is None:
         return {}
-    returns = Returns.of(chunk.xyz[chunk.core], scans, job.sensor)
+    returns = Returns.of(chunk.xyz[chunk.core], viewpoints.rows(scans), viewpoints.places)
     return dict(zip(RETURNS, (returns.pixel, returns.range), strict=True))
 
 

@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.model import (
-    MAP_ONLY,
-    POSED,
-    TIMED,
     EvidenceModel,
     FirstRound,
     Judged,
     evidence_model,
     final_scores,
+    model_file,
 )
 from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Returns, Views
 from dynahull.evidence.summaries import (
@@ -81,11 +79,11 @@ def judge_tile(job: Job, tile: int) -> Judged:
 
 def draw_range_images(job: Job) -> None:
     """Draw the range images of all scans from what the tiles say of them: see `range_images`."""
-    if job.sensor is None or job.work.has_done(IMAGING) or job.is_spent("spread"):
+    if job.viewpoints is None or job.work.has_done(IMAGING) or job.is_spent("spread"):
         return
     path = job.rows_path("images")
     with noting() as written:
-        make_rows(path, len(job.sensor) * PIXELS, np.uint16, NOTHING)
+        make_rows(path, len(job.viewpoints.places) * PIXELS, np.uint16, NOTHING)
         images = open_rows(path, np.uint16, "r+")
         for tile in range(len(job.store.layout)):
             Returns(*job.work.load("spread", tile, *RETURNS)).put_into(images)
@@ -96,19 +94,18 @@ def draw_range_images(job: Job) -> None:
 
 
 def _views(job: Job) -> Views | None:
-    if job.sensor is None:
+    if job.viewpoints is None:
         return None
 
     def images_of(rows: NDArray[np.intp]) -> Images:
         images = open_rows(job.rows_path("images"), np.uint16).reshape(-1, PIXELS)
         return np.asarray(images[rows])
 
-    return Views(job.sensor, images_of)
+    return Views(job.viewpoints.places, images_of)
 
 
 def _model(job: Job) -> EvidenceModel:
-    timed = MAP_ONLY if job.scan_source is None else TIMED
-    return evidence_model(timed if job.sensor is None else POSED)
+    return evidence_model(model_file(job.viewpoints))
 
 
 def _around(job: Job, tile: int, box: Region, stage: str, name: str, kind: type[Voxels]) -> Voxels:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters
+from dynahull.evidence.viewpoints import Viewpoints
 from pipeline.configuration.run import Configuration
 from pipeline.errors import InputChangedError
 from pipeline.scan_numbers import ScanSource
@@ -27,6 +28,7 @@ CLUSTERS_FILE = "clusters.arrays"
 CHUNKS_FOLDER = "tiles"
 DECODED_FILE = "map.decoded"
 SCANS_FILE = "scans.json"
+VIEWPOINTS_FILE = "viewpoints.arrays"
 
 TIMING, PLANNING, FITTING, IMAGING, CREATING = STEPS = (
     "times", "plan", "clustering", "images", "outputs",
@@ -147,10 +149,16 @@ class Job:
         return None if stored is None else ScanSource.model_validate(stored)
 
     @cached_property
-    def sensor(self) -> NDArray[np.float64] | None:
-        """Where the sensor was in each scan, (S, 3), metres, if that is known."""
+    def viewpoints(self) -> Viewpoints | None:
+        """From where scans are looked at, if they are known; there once the map is planned."""
         source = self.scan_source
-        return None if source is None else source.sensor(self.collection)
+        if source is None:
+            return None
+        sensor = source.sensor(self.collection)
+        if sensor is not None:
+            return Viewpoints.of_poses(sensor)
+        numbers, places = read_arrays(self.root / VIEWPOINTS_FILE, "numbers", "places")
+        return Viewpoints(numbers, places)
 
     def scans_of(self, rows: NDArray[np.int64]) -> NDArray[np.int32] | None:
         """Return the scan number of some rows, -1 where not known; None where nothing tells."""

@@ -16,7 +16,7 @@ from dynahull.density import reference_spreads
 from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Voxels, cells_of
-from dynahull.evidence.model import MODEL_FILES, EvidenceModel, evidence_model
+from dynahull.evidence.model import MODELS, EvidenceModel, evidence_model
 from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
 from dynahull.evidence.reasons import NO_REASON, REASONS, _reason_of
 from dynahull.evidence.shapes import moments_of, shapes_of
@@ -32,7 +32,7 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings
-from dynahull.evidence.terms import FALLING, POSED_TERMS, RISING, TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence
 from dynahull.evidence.visits import marks_of, scan_counts
 from dynahull.kernels import hull_densities
 
@@ -191,15 +191,15 @@ def test_nothing_beyond_the_reach_decides():
     assert alone.tobytes() == evidence(one, K, Surroundings.of(voxels)).tobytes()
 
 
-@pytest.mark.parametrize("asked", MODEL_FILES)
+@pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize(("names", "sign"), [(RISING, 1), (FALLING, -1)])
-def test_the_model_keeps_to_what_physics_says(names, sign, asked):
+def test_the_model_keeps_to_what_physics_says(names, sign, name):
     """What is less flat is never less likely a ghost; what is denser or higher never more."""
-    first = evidence_model(asked).first
+    first = evidence_model(name).first
     terms = np.random.default_rng(0).normal(size=(300, len(first.terms))).astype(np.float32)
-    for name in set(names) & set(first.terms):
+    for term in set(names) & set(first.terms):
         low, high = terms.copy(), terms.copy()
-        low[:, first.terms.index(name)], high[:, first.terms.index(name)] = -2.0, 2.0
+        low[:, first.terms.index(term)], high[:, first.terms.index(term)] = -2.0, 2.0
         assert (sign * (first.log_odds(high) - first.log_odds(low)) >= -1e-4).all()
 
 
@@ -297,7 +297,7 @@ def test_contributions_and_baseline_add_up_to_the_odds():
 
 
 def test_every_term_has_its_reason():
-    assert len({_reason_of(term) for term in POSED_TERMS}) == len(REASONS)
+    assert len({_reason_of(term) for term in TIMED_TERMS}) == len(REASONS)
 
 
 @pytest.mark.parametrize(
@@ -360,4 +360,4 @@ def test_the_paper_weighs_no_evidence():
 
 def test_the_model_that_is_shipped_asks_for_the_terms_there_are():
     assert evidence_model().first.terms == TERMS
-    assert all(evidence_model(asked).asked == asked for asked in MODEL_FILES)
+    assert all(evidence_model(name).asked == asked for name, asked in MODELS.items())

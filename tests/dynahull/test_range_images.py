@@ -1,5 +1,7 @@
 """Range images, and how many scans saw through a place."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from dynahull import clean
 from dynahull.errors import InvalidPointsError
+from dynahull.evidence import viewpoints
 from dynahull.evidence.lattice import cells_of
 from dynahull.evidence.range_images import (
     CLEARLY,
@@ -19,6 +22,7 @@ from dynahull.evidence.range_images import (
     Views,
     draw_images,
 )
+from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 
 FACES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 
@@ -143,3 +147,40 @@ def test_a_body_that_stood_there_for_a_scan_is_seen_through_and_a_wall_is_not():
 def test_poses_that_do_not_fit_are_refused(poses, scan, message):
     with pytest.raises(InvalidPointsError, match=f"poses: {message}"):
         clean(np.zeros((2, 3)), scan=scan, poses=poses)
+
+
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), parts=st.integers(1, 5), most=st.sampled_from([2, 7, 99]))
+def test_viewpoints_are_medians_and_those_of_parts_together(seed, parts, most):
+    random = np.random.default_rng(seed)
+    count = int(random.integers(0, 900))
+    xyz = random.normal(size=(count, 3)) * 30
+    xyz[::11] = [np.nan, 1e200, 0]
+    scan = random.choice([-1, 3, 4, 90, 1_000_000], count).astype(np.int32)
+    bounds = np.linspace(0, count, parts + 1).astype(int)
+    counts = [
+        count_coordinates(xyz[begin:end], scan[begin:end], begin)
+        for begin, end in itertools.pairwise(bounds)
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(viewpoints, "_MOST", most)
+        found = Viewpoints.of_counts(counts[::-1])
+        whole = Viewpoints.of_counts([count_coordinates(xyz, scan, 0)])
+    assert found.places.tobytes() == whole.places.tobytes()
+    assert len(found.numbers) <= most
+    looked_at = np.arange(count) % 7 == 0
+    looked_at &= np.isfinite(xyz).all(axis=1) & (np.abs(xyz) < 1e9).all(axis=1)
+    for number, place in zip(found.numbers, found.places, strict=True):
+        own = np.sort(xyz[looked_at & (scan == number)], axis=0)
+        np.testing.assert_allclose(place, own[(len(own) - 1) // 2], atol=0.2501)
+    rows = found.rows(scan)
+    assert (rows[scan < 0] == -1).all()
+    known = rows >= 0
+    assert (found.numbers[rows[known]] <= scan[known]).all()
+
+
+def test_poses_place_each_scan():
+    sensor = np.arange(12.0).reshape(4, 3)
+    told = Viewpoints.of_poses(sensor)
+    assert told.rows(np.array([3, -1, 0], np.int32)).tolist() == [3, -1, 0]
+    assert told.are_told and (told.places == sensor).all()
