@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 
 from dynahull import clean
 from dynahull.checking import valid_points
+from dynahull.evidence.range_images import Views as ScanViews
+from dynahull.evidence.range_images import draw_images
 from dynahull.labels import Label
-from dynahull.result import NO_CLUSTER
+from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.configuration.run import Configuration
+from pipeline.decision import Decision
 from pipeline.eligibility import LEFT_OUT, PROTECTED, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
@@ -46,6 +49,7 @@ def clean_in_memory(
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
     for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)
+    sensor = None if source is None else source.sensor(collection)
     result = clean(
         points,
         configuration.method(),
@@ -53,7 +57,7 @@ def clean_in_memory(
         left_out=unwanted if count else None,
         protected=marked == PROTECTED,
         scan=scan,
-        poses=None if source is None else source.sensor(collection),
+        poses=sensor,
         threads=available_cores(configuration.execution.workers),
         observer=observer,
     )
@@ -65,11 +69,7 @@ def clean_in_memory(
         sums = DecisionSums.by_density(points[result.labels == Label.DYNAMIC])
     decision = sums.decision()
     if output.report == "html":
-        # Points that took no part are in no tile of a map that is cut, and are not shown either.
-        apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
-        labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
-        shown = MapSample.of_map(points, labels, result.cluster, result.density, result.score)
-        views = partial(Views.of, shown, result.clusters, removal, decision)
+        views = partial(_views, points, result, scan, sensor, configuration, decision)
     scores = PointScores(result.density, result.score if removal.weighs_evidence else None)
     places = make_places(names, staging)
     write_maps(collection, output, result.labels, scores, places, observer)
@@ -85,6 +85,29 @@ def clean_in_memory(
         views,
         time=str(source or "none") if removal.weighs_evidence else None,
     )
+
+
+def _views(
+    points: NDArray[np.float64],
+    result: CleaningResult,
+    scan: NDArray[np.int32] | None,
+    sensor: NDArray[np.float64] | None,
+    configuration: Configuration,
+    decision: Decision,
+) -> Views:
+    """Return what the report shows: a sample of the map, and what scans saw of it."""
+    # Points that took no part are in no tile of a map that is cut, and are not shown either.
+    apart = (result.labels == Label.UNSCORED) & (result.cluster == NO_CLUSTER)
+    labels = np.where(apart, np.uint8(Label.INVALID), result.labels)
+    shown = MapSample.of_map(points, labels, result.cluster, result.density, result.score)
+    if scan is not None:
+        views = None
+        if sensor is not None:
+            drawn = np.where(labels == Label.INVALID, np.int32(-1), scan)
+            views = ScanViews(sensor, partial(draw_images, [(points, drawn)], sensor))
+        cores = available_cores(configuration.execution.workers)
+        shown = shown.seen(scan[shown.rows], views, cores)
+    return Views.of(shown, result.clusters, configuration.removal, decision)
 
 
 def _read(

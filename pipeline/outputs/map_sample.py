@@ -4,13 +4,16 @@ It is the same however a map is cut, and of the same size however large the map 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.evidence.lattice import cells_of, number_cells
+from dynahull.evidence.range_images import MET, THROUGH, Views
+from dynahull.evidence.summaries import FINEST
 from dynahull.labels import Label
 
 MOST_POINTS = 300_000
@@ -44,6 +47,10 @@ class MapSample:
         NaN where not scored.
     score : (n,) float32 array
         Probability of having moved; NaN where not scored, or not weighed.
+    scan : (n,) int32 array or None
+        Number of the scan that saw each, -1 where not known; None where nothing tells.
+    met, through : (n,) int64 array or None
+        How many scans met its voxel, and saw through it; None where poses are not known.
     """
 
     total: int
@@ -53,6 +60,9 @@ class MapSample:
     cluster: NDArray[np.int32]
     density: NDArray[np.float64]
     score: NDArray[np.float32]
+    scan: NDArray[np.int32] | None = None
+    met: NDArray[np.int64] | None = None
+    through: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -103,8 +113,20 @@ class MapSample:
             np.empty(0, np.float32),
         )
 
+    def seen(self, scan: NDArray[np.int32] | None, views: Views | None, threads: int = 1) -> Self:
+        """Add the scan of each point, and what all scans saw of its voxel."""
+        if views is None:
+            return replace(self, scan=scan)
+        cells = cells_of(self.xyz, FINEST)
+        numbers, firsts = number_cells(cells)
+        counts = views.count(cells[firsts], FINEST, threads)[numbers]
+        return replace(self, scan=scan, met=counts[:, MET], through=counts[:, THROUGH])
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the sample as arrays, for a file that hands it from a task to the run."""
+        """Return the sample as arrays, for a file that hands it from a task to the run.
+
+        Of scans it says nothing: they are known once all tiles are there.
+        """
         return {f"shown_{name}": getattr(self, name) for name in _COLUMNS}
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from dynahull.labels import Label
 from pipeline.outputs.map_sample import MapSample, magnitude
@@ -55,7 +55,7 @@ def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
         Of the same points.
     """
     low, high = view_bounds(sample.xyz)
-    shown = ((sample.xyz >= low) & (sample.xyz <= high)).all(axis=1)
+    shown = np.flatnonzero(((sample.xyz >= low) & (sample.xyz <= high)).all(axis=1))
     span = np.where(high > low, high - low, 1.0)
     places = np.rint((sample.xyz[shown] - low) / span * _MOST)
     density, density_range = _density_codes(sample.density[shown])
@@ -67,8 +67,8 @@ def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
         "densities": density,
     }
     facts = {
-        "count": int(np.count_nonzero(shown)),
-        "outside": int(np.count_nonzero(~shown)),
+        "count": len(shown),
+        "outside": len(sample) - len(shown),
         "sampled": len(sample),
         "total": sample.total,
         "low": low.tolist(),
@@ -78,8 +78,33 @@ def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
         "density_range": density_range,
         "margin": percentages.margin,
     }
-    encoded = {name: base64.b64encode(array.tobytes()).decode() for name, array in arrays.items()}
-    return EncodedSample(encoded, facts)
+    seen, scans = _seen(sample, shown)
+    encoded = {
+        name: base64.b64encode(array.tobytes()).decode() for name, array in (arrays | seen).items()
+    }
+    return EncodedSample(encoded, facts | scans)
+
+
+def _seen(
+    sample: MapSample, shown: NDArray[np.intp]
+) -> tuple[dict[str, NDArray[Any]], dict[str, list[int]]]:
+    """Return scans, from 1 on and 0 where not known, what they saw, and the first and the last."""
+    scan = np.empty(0, np.int64) if sample.scan is None else sample.scan[shown].astype(np.int64)
+    known = scan[scan >= 0]
+    if not len(known) or known.min() == known.max():
+        return {}, {}
+    first, last = int(known.min()), int(known.max())
+    numbers = np.rint((scan - first) / max((last - first) / (_MOST - 1), 1)) + 1
+    arrays = {"scans": _narrow(np.where(scan < 0, 0, numbers))}
+    if sample.met is not None and sample.through is not None:
+        arrays |= {"met": _narrow(sample.met[shown]), "through": _narrow(sample.through[shown])}
+    return arrays, {"scans": [first, last]}
+
+
+def _narrow(values: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers as bytes, where each is one, or as two bytes each."""
+    kind: DTypeLike = np.uint8 if values.max() < 256 else "<u2"
+    return np.asarray(np.minimum(values, _MOST), kind)
 
 
 def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

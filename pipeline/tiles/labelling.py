@@ -18,12 +18,13 @@ from pipeline.errors import WorkError
 from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
 from pipeline.outputs.map_sample import MapSample, is_sampled
 from pipeline.places import ARRAY_NAMES, DecisionSums
+from pipeline.plan.machine import available_cores
 from pipeline.report_page.charts import TileWork
 from pipeline.tiles.cutting import label_unscored, protected_rows
 from pipeline.tiles.density import KeptScores, first_cluster, scores_of
 from pipeline.tiles.ground import labelled_points
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.tiles.weighing import judge_tile
+from pipeline.tiles.weighing import judge_tile, scan_views
 from pipeline.work.files import GO_ON, make_rows, open_rows, read_sealed, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import JOB_FILE, Job
@@ -164,13 +165,16 @@ def shown_points(
 
 
 def gather_sample(job: Job) -> MapSample:
-    """Return the sample of the map: that of all its tiles."""
+    """Return the sample of the map: that of all its tiles, and what scans saw of it."""
     total = job.collection.point_count
     parts = [
         MapSample(total, *job.work.load("label", tile, *SHOWN_ARRAYS))
         for tile in range(len(job.store.layout))
     ]
-    return MapSample.of_parts(total, parts)
+    sample = MapSample.of_parts(total, parts)
+    cores = available_cores(job.configuration.execution.workers)
+    told = job.viewpoints is not None and job.viewpoints.are_told
+    return sample.seen(job.scans_of(sample.rows), scan_views(job) if told else None, cores)
 
 
 def tile_work(job: Job) -> TileWork:

@@ -56,7 +56,7 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     for box in divided(everywhere, xyz, sides):
         own = box.holds(xyz)
         voxels = _around(job, tile, box, "spread", VOXELS, kind)
-        surroundings = Surroundings.of(voxels, _views(job))
+        surroundings = Surroundings.of(voxels, scan_views(job))
         del voxels
         found.put(own, model.first_round(points.part(own), k, surroundings))
     kept = {name: getattr(found, name) for name in _FIRST}
@@ -93,7 +93,8 @@ def draw_range_images(job: Job) -> None:
     job.work.finish_step(IMAGING, written)
 
 
-def _views(job: Job) -> Views | None:
+def scan_views(job: Job) -> Views | None:
+    """Return what the scans saw, once their range images are drawn; None where none are known."""
     if job.viewpoints is None:
         return None
 

@@ -10,6 +10,12 @@ const report = (() => {
     return array;
   };
   const facts = JSON.parse(text("facts"));
+  // Numbers of one byte, or of two, each; null where the page holds none.
+  const narrow = (name) => {
+    if (!document.getElementById(`array-${name}`)) return null;
+    const array = bytes(name);
+    return array.length === facts.count ? array : new Uint16Array(array.buffer);
+  };
   return {
     facts,
     places: new Uint16Array(bytes("places").buffer),
@@ -17,6 +23,10 @@ const report = (() => {
     labels: bytes("labels"),
     clusters: bytes("clusters"),
     densities: bytes("densities"),
+    // Scans from 1 on, 0 where not known; how many met the place of a point, and saw through it.
+    scans: narrow("scans"),
+    met: narrow("met"),
+    through: narrow("through"),
     // What the slider and the switches say; 600 codes are a percent.
     state: { code: facts.own_code, static: true, removed: true, ground: true, other: true },
   };
@@ -28,6 +38,30 @@ function kindOf(point) {
   if (label === 2) return 2;
   if (label > 2) return 3;
   return report.percentages[point] <= report.state.code ? 1 : 0;
+}
+
+// A scan's number, and the number that stands for it here: from 1 to the last.
+const SCAN_STEP = report.facts.scans
+  ? Math.max((report.facts.scans[1] - report.facts.scans[0]) / 65534, 1) : 1;
+const scanOf = (code) => Math.round(report.facts.scans[0] + (code - 1) * SCAN_STEP);
+const codeOf = (scan) => 1 + Math.round((scan - report.facts.scans[0]) / SCAN_STEP);
+
+// When some points were seen, and what scans saw of them, in the median, in words.
+function seenInWords(points) {
+  const sorted = (values, of) => Array.from(of, (point) => values[point]).sort((a, b) => a - b);
+  const told = [];
+  const codes = report.scans ? sorted(report.scans, points).filter(Boolean) : [];
+  if (codes.length) {
+    const [first, last] = [scanOf(codes[0]), scanOf(codes[codes.length - 1])];
+    told.push(first === last ? `scan ${first}` : `scans ${first} to ${last}`);
+  }
+  if (report.met && points.length) {
+    const [met, through] = [report.met, report.through].map(
+      (counts) => sorted(counts, points)[points.length >> 1].toLocaleString("en-GB"));
+    const which = points.length > 1 ? "typically " : "";
+    told.push(`${which}met by ${met} scan${met === "1" ? "" : "s"}, seen through by ${through}`);
+  }
+  return told.join("; ");
 }
 
 const KINDS = ["static", "removed", "ground", "other"];

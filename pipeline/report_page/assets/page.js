@@ -203,6 +203,18 @@
     });
   }
 
+  // The sampled points that a place lost.
+  function pointsOf({ low, high }) {
+    const points = [];
+    for (let point = 0; point < facts.count; point++) {
+      const isIn = low.every((from, axis) => {
+        const at = facts.low[axis] + (report.places[3 * point + axis] / 65535) * facts.span[axis];
+        return at >= from && at <= high[axis];
+      });
+      if (isIn && kindOf(point) === 1) points.push(point);
+    }
+    return points;
+  }
   function visit(place) {
     for (let axis = 0; axis < 3; axis++) {  // none of it is hidden
       if (place.low[axis] < shown[0][axis]) shown[0][axis] = ends[0][axis];
@@ -212,7 +224,12 @@
     for (const button of document.querySelectorAll("[data-place]")) {
       button.classList.toggle("chosen", Number(button.dataset.place) === place.number);
     }
-    if (scene) scene.visit(place.low, place.high);
+    if (scene) {
+      scene.visit(place.low, place.high);
+      const words = seenInWords(pointsOf(place));
+      byId("picked").textContent = `place ${place.number}: ${words}`;
+      byId("picked").hidden = !words;
+    }
     const axis = 1 - section.across;
     section.place = ((place.low[axis] + place.high[axis]) / 2 - facts.low[axis]) / facts.span[axis];
     byId("place").value = Math.round(1000 * section.place);
@@ -221,6 +238,50 @@
   }
   for (const button of document.querySelectorAll("[data-place]")) {
     button.addEventListener("click", () => visit(found[button.dataset.place - 1]));
+  }
+
+  if (facts.scans && scene) {
+    const [first, last] = facts.scans;
+    const [from, to] = ["scan-from", "scan-to"].map(byId);
+    const isWhole = () => Number(from.value) === first && Number(to.value) === last;
+    let playing = null;
+    const show = (start, end) => {
+      [from.value, to.value] = [start, end];
+      byId("scans-shown").textContent = isWhole() ? "all" : `${from.value} to ${to.value}`;
+      scene.time(Number(from.value), Number(to.value));
+    };
+    const stop = () => {
+      clearInterval(playing);
+      playing = null;
+      byId("play").textContent = "Play";
+    };
+    const slide = (moved, other, pick) => moved.addEventListener("input", () => {
+      stop();
+      other.value = pick(Number(moved.value), Number(other.value));
+      show(from.value, to.value);
+    });
+    slide(from, to, Math.max);
+    slide(to, from, Math.min);
+    // What a few scans saw, one after the other.
+    byId("play").addEventListener("click", () => {
+      if (playing !== null) return stop();
+      const before = [from.value, to.value];
+      const wide = isWhole() ? Math.ceil((last - first) / 20) : to.value - from.value;
+      const step = Math.ceil((last - first) / 100);
+      let start = first;
+      const next = () => {
+        if (start + wide > last) {
+          stop();
+          return show(...before);
+        }
+        show(start, start + wide);
+        start += step;
+      };
+      playing = setInterval(next, Math.max(100, 5000 / (last - first)));
+      byId("play").textContent = "Stop";
+      return next();
+    });
+    show(first, last);
   }
 
   byId("swipe").addEventListener("input", (event) => {
@@ -232,7 +293,13 @@
   if (scene) {
     scene.pin(found.slice(0, 30));
     byId("whole").addEventListener("click", scene.whole);
-    byId("colour").addEventListener("change", (event) => scene.colour(Number(event.target.value)));
+    const ends = { 5: (facts.scans || []).map((scan) => `scan ${scan}`), 6: ["met by all", "seen through by all"] };
+    byId("colour").addEventListener("change", ({ target: { value } }) => {
+      scene.colour(Number(value));
+      const ramp = byId("ramp");
+      ramp.hidden = !ends[value];
+      if (!ramp.hidden) [ramp.firstElementChild.textContent, ramp.lastElementChild.textContent] = ends[value];
+    });
     byId("size").addEventListener("input", (event) => scene.size(Number(event.target.value)));
     byId("from-above").addEventListener("click", scene.fromAbove);
     byId("from-side").addEventListener("click", scene.fromSide);

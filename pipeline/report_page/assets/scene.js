@@ -6,6 +6,8 @@ const VERTEX_SHADER = `
   attribute float label;
   attribute float cluster;
   attribute float density;
+  attribute float scan;
+  attribute float through;
   uniform float code;
   uniform float size;
   uniform float pixels;
@@ -17,6 +19,7 @@ const VERTEX_SHADER = `
   uniform vec3 to;
   uniform float swipe;
   uniform vec2 depths;
+  uniform vec3 scans;
   uniform vec3 paper;
   varying vec3 tone;
 
@@ -32,6 +35,10 @@ const VERTEX_SHADER = `
     return c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * (c5 + t * c6)))));
   }
 
+  vec3 ended(float t) {  // without the end that the paper swallows
+    return ramp(mix(${DARK ? "0.222, 1.0" : "0.0, 0.889"}, t));
+  }
+
   void main() {
     int kind = label > 2.5 ? 3 : label > 1.5 ? 2 : percentage <= code ? 1 : 0;
     float visible = kind == 3 ? shown.w : kind == 2 ? shown.z : kind == 1 ? shown.y : shown.x;
@@ -39,6 +46,8 @@ const VERTEX_SHADER = `
     if (mode == 1) tone = ramp(height);
     else if (mode == 2) tone = density > 254.5 ? vec3(0.75) : ramp(density / 254.0);
     else if (mode == 4) tone = percentage > 60000.5 ? vec3(0.75) : ramp(1.0 - percentage / 60000.0);
+    else if (mode == 5) tone = scan < 0.5 ? vec3(0.75) : ended((scan - 1.0) / (scans.z - 1.0));
+    else if (mode == 6) tone = through < 0.0 ? vec3(0.75) : ended(through);
     else if (mode == 3) {
       int index = int(mod(cluster, 6.0));
       tone = label > 1.5 ? vec3(0.75)
@@ -49,13 +58,15 @@ const VERTEX_SHADER = `
       tone = kind == 3 ? colours[3] : kind == 2 ? colours[2] : kind == 1 ? colours[1] : colours[0];
       if (kind != 1) tone = mix(tone * 0.75, mix(tone, vec3(1.0), 0.3), height);
     }
-    if (mode != 0 && mode != 4 && kind == 1) tone = mix(tone, colours[1], 0.35);
+    if (mode == 5 && kind != 1) tone = mix(tone, paper, 0.75);  // when ghosts were seen
+    if (mode > 0 && mode < 4 && kind == 1) tone = mix(tone, colours[1], 0.35);
     vec4 seen = modelViewMatrix * vec4(position, 1.0);
     // What is far fades, so that what is near stands before it; what goes stands out anyway.
     if (kind != 1) tone = mix(tone, paper, 0.6 * smoothstep(depths.x, depths.y, -seen.z));
     vec4 placed = projectionMatrix * seen;
     if (kind == 1 && placed.x > swipe * placed.w) visible = 0.0;
     if (any(lessThan(position, from)) || any(greaterThan(position, to))) visible = 0.0;
+    if (scan < scans.x || scan > scans.y) visible = 0.0;
     gl_Position = visible > 0.5 ? placed : vec4(2.0, 2.0, 2.0, 1.0);
     gl_PointSize = pixels * size * (kind == 1 ? 1.5 : 1.0);
   }`;
@@ -128,6 +139,14 @@ function makeScene() {
   attach("label", Float32Array.from(report.labels), 1);
   attach("cluster", Float32Array.from(report.clusters), 1);
   attach("density", Float32Array.from(report.densities), 1);
+  if (report.scans) attach("scan", Float32Array.from(report.scans), 1);
+  if (report.met) {
+    const share = (through, point) => {
+      const all = through + report.met[point];
+      return all ? through / all : -1;
+    };
+    attach("through", Float32Array.from(report.through, share), 1);
+  }
   const uniforms = {
     code: { value: report.state.code },
     size: { value: 2 },
@@ -140,6 +159,7 @@ function makeScene() {
     to: { value: new THREE.Vector3(1e9, 1e9, 1e9) },
     swipe: { value: 2 },
     depths: { value: [0, 1] },
+    scans: { value: [0, 65535, report.facts.scans ? codeOf(report.facts.scans[1]) : 2] },
     paper: { value: new THREE.Color(...PAPER.map((part) => part / 255)) },
   };
   const material = new THREE.ShaderMaterial({
@@ -193,6 +213,10 @@ function makeScene() {
   }
   const isClipped = (x, y, z) => [x, y, z].some((value, axis) =>
     value < uniforms.from.value.getComponent(axis) || value > uniforms.to.value.getComponent(axis));
+  const isInTime = (point) => {
+    const [from, to] = uniforms.scans.value;
+    return !report.scans || (report.scans[point] >= from && report.scans[point] <= to);
+  };
   let pins = [];
   function showPins() {
     for (const { span, at } of pins) {
@@ -216,7 +240,7 @@ function makeScene() {
     const behind = camera.position.clone();
     for (let i = 0; i < count; i++) {
       const at = [position[3 * i], position[3 * i + 1], position[3 * i + 2]];
-      if (!report.state[KINDS[kindOf(i)]] || isClipped(...at)) continue;
+      if (!report.state[KINDS[kindOf(i)]] || isClipped(...at) || !isInTime(i)) continue;
       const pixel = onCanvas(...at);
       if (!pixel) continue;
       const off = Math.hypot(pixel[0] - x, pixel[1] - y);
@@ -226,7 +250,7 @@ function makeScene() {
     }
     if (best < 0) return null;
     const xyz = [0, 1, 2].map((axis) => position[3 * best + axis] + centre[axis] + facts.low[axis]);
-    return { xyz, kind: KINDS[kindOf(best)] };
+    return { xyz, kind: KINDS[kindOf(best)], seen: seenInWords([best]) };
   }
   let pressed = null;
   canvas.addEventListener("pointerdown", (event) => { pressed = [event.clientX, event.clientY]; });
@@ -238,7 +262,8 @@ function makeScene() {
     told.hidden = !found;
     if (found) {
       const written = found.xyz.map((value) => value.toFixed(2)).join(", ");
-      told.textContent = `${written} m: ${found.kind === "other" ? "not scored" : found.kind}`;
+      const kind = found.kind === "other" ? "not scored" : found.kind;
+      told.textContent = `${written} m: ${[kind, found.seen].filter(Boolean).join("; ")}`;
     }
   });
   // Some of the points stand for all; the middle of nearly all of them is what the view turns about.
@@ -342,6 +367,12 @@ function makeScene() {
       const local = (corner) => corner.map((value, axis) => value - facts.low[axis] - centre[axis]);
       uniforms.from.value.fromArray(local(low));
       uniforms.to.value.fromArray(local(high));
+      ask();
+    },
+    // What these scans saw is shown; where all are, also what nobody knows when it was seen.
+    time(first, last) {
+      const { scans } = report.facts, all = first === scans[0] && last === scans[1];
+      uniforms.scans.value = [all ? 0 : codeOf(first), codeOf(last), codeOf(scans[1])];
       ask();
     },
     swipe(share) { uniforms.swipe.value = share >= 1 ? 2 : 2 * share - 1; ask(); },

@@ -29,6 +29,25 @@ def street() -> np.ndarray:
     return np.concatenate([floor, *walls, pillar, trail]) + noise
 
 
+SCANS = 40
+
+
+def write_timed_street(folder):
+    """Write the street with scan numbers, the first not known, and the poses; return map, setting.
+
+    Who walked was seen on the way; all else at any time.
+    """
+    xyz, rng = street(), np.random.default_rng(8)
+    scan = rng.integers(0, SCANS, len(xyz))
+    scan[-1_500:] = (np.clip(xyz[-1_500:, 0], 2, 17.9) - 2) / 16 * SCANS
+    scan[0] = -1
+    np.savez(folder / "timed.npz", points=xyz, scan=scan)
+    poses = np.tile(np.eye(3, 4), (SCANS, 1, 1))
+    poses[:, :, 3] = np.linspace([2, 2, 1.2], [18, 2, 1.2], SCANS)
+    np.savetxt(folder / "poses.txt", poses.reshape(SCANS, 12), "%.17g")
+    return folder / "timed.npz", f"input.poses={folder / 'poses.txt'}"
+
+
 BY_EVIDENCE = ["removal.decision=auto", "removal.confidence=0.3"]
 
 
@@ -47,20 +66,22 @@ def cleaned(tmp_path_factory):
     files = [folder / "east.npy", folder / "west.npy"]
     observer = StageObserver(LogDisplay())
     outputs["hall"] = Path(run(files, folder / "hall", configuration, observer).output)
-    for name, tile, more in (
-        ("whole", 1_000_000, []),
-        ("tiled", 5_000, []),
-        ("judged", 1_000_000, BY_EVIDENCE),
-        ("judged tiled", 12_000, BY_EVIDENCE),
+    plain, (timed, poses) = folder / NASTY_NAME, write_timed_street(folder)
+    for name, path, tile, more in (
+        ("whole", plain, 1_000_000, []),
+        ("tiled", plain, 5_000, []),
+        ("judged", plain, 1_000_000, BY_EVIDENCE),
+        ("judged tiled", plain, 12_000, BY_EVIDENCE),
+        ("timed", timed, 1_000_000, BY_EVIDENCE),
+        ("posed", timed, 1_000_000, [*BY_EVIDENCE, poses]),
+        ("posed tiled", timed, 12_000, [*BY_EVIDENCE, poses]),
     ):
         settings = ["clustering.count=3", f"tiling.max_points={tile}", "execution.cluster=none"]
         settings += more
         observer = StageObserver(LogDisplay())
         observer.warn("a warning with <b>bold</b> words")
         configuration = load_configuration(None, [*settings, "neighbours.k=30"])
-        outputs[name] = Path(
-            run([folder / NASTY_NAME], folder / name, configuration, observer).output
-        )
+        outputs[name] = Path(run([path], folder / name, configuration, observer).output)
     return outputs
 
 

@@ -1,6 +1,7 @@
 """The page in a browser: it opens from disk, draws, and answers."""
 
 import json
+import re
 
 import pytest
 
@@ -17,6 +18,30 @@ INK = """(name) => {
     if (data[i] > 180 && data[i + 1] > 50 && data[i + 1] < 140 && data[i + 2] < 60) orange++;
   }
   return [drawn, orange];
+}"""
+ORANGE = """() => {
+  const canvas = document.getElementById("scene-canvas");
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  const middle = [canvas.width / 2, canvas.height / 2];
+  let best = null, least = Infinity;
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i] < 180 || data[i + 1] > 140 || data[i + 2] > 60) continue;
+    const at = [(i / 4) % canvas.width, Math.floor(i / 4 / canvas.width)];
+    const off = Math.hypot(at[0] - middle[0], at[1] - middle[1]);
+    if (off < least) [best, least] = [at, off];
+  }
+  return best;
+}"""
+PLAYED = """async () => {
+  const [button, told] = ["play", "scans-shown"].map((name) => document.getElementById(name));
+  button.click();
+  const seen = [button.textContent, told.textContent];
+  while (told.textContent === seen[1]) await new Promise((done) => setTimeout(done, 5));
+  seen.push(told.textContent);
+  button.click();
+  return [...seen, button.textContent];
 }"""
 VIEWS = ("top-before", "top-after", "section-before", "section-after")
 
@@ -161,7 +186,7 @@ def test_without_webgl_it_says_so_and_the_rest_works(opened, dynamic):
     assert page.heard == []
 
 
-@pytest.mark.parametrize("name", ["tiled", "judged tiled"])
+@pytest.mark.parametrize("name", ["tiled", "posed tiled"])
 def test_nothing_sticks_out_at_the_side(opened, name):
     page = opened(name, width=360)
     for width in (360, 390, 820, 1440):
@@ -212,6 +237,7 @@ def test_a_place_is_framed_when_it_is_clicked(opened):
     before = page.inner_text("#place-value")
     page.fill("#place", "0")
     page.click('[data-place="1"]')
+    assert not page.is_visible("#picked")  # no scans are known
     assert ink(page, "scene-canvas")[0] > 100
     assert page.inner_text("#place-value") != before
     page.check("#show-removed")
@@ -250,6 +276,70 @@ def test_the_swipe_shows_what_is_left_beside_what_was_there(opened):
     page.fill("#swipe", "1000")
     assert ink(page, "scene-canvas") == before
     assert not page.is_visible("#swipe-line")
+
+
+def test_the_time_slider_hides_what_other_scans_saw(opened):
+    page = opened("posed tiled")
+    whole = ink(page, "scene-canvas")
+    assert page.inner_text("#scans-shown") == "all"
+    page.fill("#scan-from", "20")
+    late = ink(page, "scene-canvas")
+    page.fill("#scan-to", "25")
+    few = ink(page, "scene-canvas")
+    assert 0 < few[0] < late[0] < whole[0]
+    assert 0 < few[1] < late[1] < whole[1]
+    assert page.inner_text("#scans-shown") == "20 to 25"
+    page.focus("#scan-from")
+    for _ in range(6):
+        page.keyboard.press("ArrowRight")
+    assert page.inner_text("#scans-shown") == "26 to 26"  # the other end is pushed along
+    page.fill("#scan-from", "0")
+    page.fill("#scan-to", "39")
+    assert ink(page, "scene-canvas") == whole
+    assert page.evaluate(PLAYED) == ["Stop", "0 to 2", "1 to 3", "Play"]
+    assert ink(page, "scene-canvas")[0] < whole[0]
+    assert page.heard == []
+
+
+def test_ghosts_are_coloured_by_when_they_were_seen(opened):
+    page = opened("posed")
+    picture = "() => document.getElementById('scene-canvas').toDataURL()"
+    seen = set()
+    for colour, ends in (
+        ("0", None),
+        ("5", "scan 0 scan 39"),
+        ("6", "met by all seen through by all"),
+    ):
+        page.select_option("#colour", colour)
+        settle(page)
+        seen.add(page.evaluate(picture))
+        told = page.inner_text("#ramp") if page.is_visible("#ramp") else None
+        assert told is None if ends is None else told.split() == ends.split()
+    assert len(seen) == 3
+
+
+def test_a_place_tells_how_many_scans_saw_through_it(opened):
+    page = opened("posed")
+    page.click('[data-place="1"]')
+    words = r"place 1: scans (\d+) to (\d+); typically met by (\d+) scans?, seen through by (\d+)"
+    first, last, met, through = map(int, re.fullmatch(words, page.inner_text("#picked")).groups())
+    assert 0 <= first < last <= 39
+    assert through > 4 * met
+    page.uncheck("#show-static")
+    page.uncheck("#show-ground")
+    settle(page)
+    box = page.locator("#scene-canvas").bounding_box()
+    pixel = page.evaluate(ORANGE)
+    page.mouse.click(box["x"] + pixel[0], box["y"] + pixel[1])
+    words = r".* m: removed; scan (\d+); met by (\d+) scans?, seen through by (\d+)"
+    assert first <= int(re.fullmatch(words, page.inner_text("#picked"))[1]) <= last
+    assert page.heard == []
+
+
+def test_without_poses_a_place_tells_when_it_was_seen(opened):
+    page = opened("timed")
+    page.click('[data-place="1"]')
+    assert re.fullmatch(r"place 1: scans \d+ to \d+", page.inner_text("#picked"))
 
 
 def test_the_clip_box_hides_what_is_outside_of_it(opened):

@@ -1,15 +1,20 @@
 """The page without a browser: what it holds, and that it holds nothing of what it should not."""
 
+import base64
 import json
 import re
 from html import unescape
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 import yaml
 
 from pipeline.configuration.run import load_configuration
+from pipeline.outputs.map_sample import MapSample
 from pipeline.progress import LogDisplay, StageObserver
+from pipeline.report_page.encoding import encode
+from pipeline.report_page.percentages import removal_percentages
 from pipeline.run import run
 
 
@@ -19,6 +24,11 @@ def page_of(folder):
 
 def array(page, name):
     return re.search(rf'<script type="text/plain" id="array-{name}">([^<]*)</script>', page)[1]
+
+
+def numbers(page, name):
+    held = base64.b64decode(array(page, name))
+    return np.frombuffer(held, np.uint8 if len(held) == facts(page)["count"] else "<u2")
 
 
 def facts(page):
@@ -58,6 +68,52 @@ def test_the_page_by_evidence_does_not_depend_on_how_the_map_is_cut(cleaned):
     assert facts(whole) | {"apply": None} == facts(tiled) | {"apply": None}
     assert facts(whole)["confidence"] == 0.3
     assert facts(whole)["removed_points"][70] == facts(whole)["removed"] > 0
+
+
+SEEN = ("scans", "met", "through")
+
+
+def test_the_page_holds_the_scan_of_each_point(cleaned):
+    folder = cleaned["posed"].parent
+    scan = np.load(folder / "timed.npz")["scan"]
+    for name in ("timed", "posed", "posed tiled"):
+        page = page_of(cleaned[name])
+        assert facts(page)["scans"] == [0, 39]
+        assert facts(page)["count"] == len(scan)
+        np.testing.assert_array_equal(numbers(page, "scans"), scan + 1)
+    assert 'id="array-met"' not in page_of(cleaned["timed"])
+
+
+def test_what_scans_saw_does_not_depend_on_how_the_map_is_cut(cleaned):
+    whole, tiled = page_of(cleaned["posed"]), page_of(cleaned["posed tiled"])
+    for name in SEEN:
+        assert array(whole, name) == array(tiled, name)
+    met, through = numbers(whole, "met"), numbers(whole, "through")
+    wall, who_walked = slice(18_000, 27_000), slice(31_000, None)
+    assert np.median(met[wall]) > 4 * np.median(through[wall])
+    assert np.median(through[who_walked]) > 4 * np.median(met[who_walked])
+
+
+def test_where_no_scans_are_known_the_page_says_nothing_of_them(cleaned):
+    for name in ("whole", "tiled", "judged", "judged tiled"):
+        page = page_of(cleaned[name])
+        assert "scans" not in facts(page)
+        ids = re.findall(r' id="([^"]*)"', page)
+        assert not {"scan-from", "play", *(f"array-{seen}" for seen in SEEN)} & set(ids)
+        assert '<option value="5">' not in page
+        assert '<option value="6">' not in page
+
+
+def test_scan_numbers_that_are_far_apart_are_rounded():
+    scan = np.array([7, -1, 7 + 10**6, 7 + 5 * 10**5], np.int32)
+    sample = MapSample.of_map(
+        np.zeros((4, 3)), np.zeros(4, np.uint8), np.zeros(4, np.int32), np.ones(4),
+        np.ones(4, np.float32),
+    ).seen(scan, None)  # fmt: skip
+    encoded = encode(sample, removal_percentages(sample, [], {"min_percent": 5, "max_percent": 20}))
+    assert encoded.facts["scans"] == [7, 7 + 10**6]
+    codes = np.frombuffer(base64.b64decode(encoded.arrays["scans"]), "<u2")
+    assert codes.tolist() == [1, 0, 65_535, 32_768]
 
 
 @pytest.mark.parametrize("name", ["judged", "judged tiled", "whole", "tiled"])
@@ -164,8 +220,6 @@ def test_without_a_report_there_is_none(cleaned, tmp_path):
 
 @pytest.mark.parametrize("points", [0, 1, 3, 40])
 def test_maps_of_next_to_nothing_have_a_page(tmp_path, points):
-    import numpy as np  # noqa: PLC0415
-
     np.save(tmp_path / "map.npy", np.random.default_rng(0).normal(size=(points, 3)))
     run([tmp_path / "map.npy"], tmp_path / "out", load_configuration(None), observer())
     page = page_of(tmp_path / "out")

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dynahull.evidence.range_images import PIXELS, Views
 from dynahull.labels import Label
 from pipeline.outputs import map_sample as sample_module
 from pipeline.outputs.map_sample import ARRAY_NAMES, MapSample, is_sampled, sampled_rows
@@ -60,6 +61,24 @@ def test_the_sample_of_all_parts_is_the_sample_of_the_map(monkeypatch):
     for name, array in whole.to_arrays().items():
         np.testing.assert_array_equal(together.to_arrays()[name], array)
     assert tuple(whole.to_arrays()) == ARRAY_NAMES
+
+
+def test_scans_meet_a_place_or_see_through_it():
+    near, at, far = (np.full((1, PIXELS), range_, np.uint16) for range_ in (200, 500, 900))
+    images = np.concatenate([far, near, at, far])
+    places = np.array([[5.0, 0.05, 0.05], [0.05, 1.0, 0.05], [5.04, 0.06, 0.01]])
+    sample = MapSample.of_parts(
+        3,
+        [MapSample(3, np.arange(3), places, np.zeros(3, np.uint8), np.zeros(3, np.int32),
+                   np.ones(3), np.ones(3, np.float32))],
+    )  # fmt: skip
+    scan = np.array([3, -1, 0], np.int32)
+    seen = sample.seen(scan, Views(np.full((4, 3), 0.05), lambda rows: images[rows]))
+    assert seen.scan.tolist() == [3, -1, 0]
+    assert seen.through.tolist() == [2, 4, 2]
+    assert seen.met.tolist() == [1, 0, 1]
+    unposed = sample.seen(scan, None)
+    assert (unposed.scan.tolist(), unposed.met, unposed.through) == ([3, -1, 0], None, None)
 
 
 def test_invalid_points_are_not_shown():
