@@ -1,8 +1,8 @@
-"""From where scans are looked at: where the sensor was, or, if nobody tells, from their middle.
+"""From where scans are looked at: where the sensor was, or, if nobody tells, above their middle.
 
 The points of a map are in their places, whoever looks. So a range image may be drawn from another
-place than the sensor's: what lies behind a place, and was seen, shows that nothing was there. The
-median of a scan's points is near the sensor, for sensors that look all around.
+place than the sensor's: what lies behind a place, and was seen, shows that nothing was there. A
+metre above the median of a scan's points is near the sensor, for sensors that look all around.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,9 @@ from dynahull.evidence.visits import Scans
 
 _STEP = 0.5
 """Metres: medians are found in steps, so that they are those of parts of the map together."""
+
+_ABOVE = np.array([0.0, 0.0, 1.0])
+"""Metres: outdoors, most of what a sensor sees is the ground."""
 
 _EVERY = 7
 """One row of so many counts, by its number in the whole map."""
@@ -59,7 +62,7 @@ class Viewpoints:
         before = np.concatenate([[0], total])[firsts]
         after = np.concatenate([before[1:], total[-1:]])
         middles = np.searchsorted(total, before + (after - before + 1) // 2)
-        places = ((cells[middles, 2] + 0.5) * _STEP).reshape(-1, 3)
+        places = ((cells[middles, 2] + 0.5) * _STEP).reshape(-1, 3) + _ABOVE
         numbers = cells[firsts[::3], 0]
         shared = -(-len(numbers) // _MOST) or 1
         return cls(numbers[::shared], places[::shared])
