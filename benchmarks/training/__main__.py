@@ -8,7 +8,7 @@ noisier or downsampled. Each group of kinds is left out in turn: what a model of
 makes of it is printed, with how often points of each probability moved and what each term earns.
 The mean of these models is written to `--out`: it is sturdier on scenes unlike all of them than one
 model of all kinds. Others are learnt from the maps whose scans, and whose poses, are known. With
-`--keep`, maps are kept, and a later call goes on from there; it takes some 130 MB a seed.
+`--keep`, maps are kept, and a later call goes on from there; it takes some 150 MB a seed.
 """
 
 import argparse

@@ -162,11 +162,11 @@ def plan_tiles(
         warn_of_set_aside(job, observer)
         return
     try:
-        survey, strays, marked, coordinates = _whole_survey(job, reports)
+        survey, strays, marked = _whole_survey(job, reports)
         with noting() as written:
             save_set_aside(job, strays, *marked)
             if job.scan_source is not None:
-                _keep_viewpoints(job, Viewpoints.of_counts(coordinates))
+                _keep_viewpoints(job)
         warn_of_set_aside(job, observer)
         plan = make_plan(job.collection, survey, job.configuration, executor.workers)
         check(plan)
@@ -234,9 +234,8 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
 
 def _whole_survey(
     job: Job, reports: Iterator[tuple[int, TaskReport]]
-) -> tuple[Survey, Strays, list[int], list[Voxels]]:
+) -> tuple[Survey, Strays, list[int]]:
     """Put the surveys of all ranges of rows together; count points left out and protected."""
-    coordinates: list[Voxels] = []
     outskirts = Outskirts(job.configuration.neighbours.k)
     marked = [0, 0]
 
@@ -246,17 +245,20 @@ def _whole_survey(
                 Outskirts.from_arrays(*job.work.load("survey", number, *OUTSKIRTS_NAMES))
             )
             marked[:] = map(sum, zip(marked, report.counts, strict=True))
-            (found,) = summaries(job, "survey", number, COORDINATES)
-            parts = [*coordinates, Voxels(found.cells, found.values.astype(np.int64))]
-            coordinates[:] = [Voxels.merged(parts)]
             yield Survey.from_arrays(*job.work.load("survey", number, *_SURVEY_NAMES))
 
     merged = merge(surveys())
     strays = outskirts.strays()
-    return survey_of_others(merged, strays), strays, marked, coordinates
+    return survey_of_others(merged, strays), strays, marked
 
 
-def _keep_viewpoints(job: Job, viewpoints: Viewpoints) -> None:
+def _keep_viewpoints(job: Job) -> None:
+    """Find from where scans are looked at by what all ranges of rows say of them."""
+    parts = []
+    for number in range(len(job.row_ranges)):
+        (found,) = summaries(job, "survey", number, COORDINATES)
+        parts.append(Voxels(found.cells, found.values.astype(np.int64)))
+    viewpoints = Viewpoints.of_counts(parts)
     with atomic_file(job.root / VIEWPOINTS_FILE) as temporary:
         write_arrays(temporary, {"numbers": viewpoints.numbers, "places": viewpoints.places})
 

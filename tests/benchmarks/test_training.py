@@ -21,7 +21,7 @@ from benchmarks.training.judging import Judged, ablation, figures, judge, reliab
 from benchmarks.training.maps import MOVED, STATIC, UNKNOWN, TrainingMap
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
-from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS
+from dynahull.evidence.terms import FALLING, RISING, SEEN_TERMS, TERMS, TIMED_TERMS
 
 DENSITY = TERMS.index("density_1.2")
 SMALL = FitOptions(points=600, first_trees=10, first_leaves=6, second_trees=8, second_leaves=5)
@@ -37,6 +37,16 @@ def a_map(number, kind, count=2_000):
     truth = np.where(likely, MOVED, STATIC).astype(np.int8)
     xyz = random.uniform(size=(count, 3)) * [20, 20, 2]
     return TrainingMap(f"{number:05d}a", kind, "vlp16", xyz, truth, terms, 500, 3)
+
+
+def test_with_poses_what_scans_saw_is_that_of_the_poses():
+    table = np.arange(2.0 * (len(TIMED_TERMS) + len(SEEN_TERMS)), dtype=np.float32).reshape(2, -1)
+    posed = replace(a_map(0, "office", 2), terms=table).posed()
+    expected = np.delete(table, np.s_[len(TIMED_TERMS) - len(SEEN_TERMS) : len(TIMED_TERMS)], 1)
+    assert posed.terms.shape == expected.shape == (2, len(TIMED_TERMS))
+    assert len(posed.terms) == 2
+    np.testing.assert_array_equal(posed.terms[:1], expected[:1])
+    np.testing.assert_array_equal(posed.terms[:, np.array([80, 3])], expected[:, [80, 3]])
 
 
 def lesson(count=4_000):

@@ -2,6 +2,7 @@
 
 import itertools
 
+import laspy
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from dynahull import clean
 from dynahull.errors import InvalidPointsError
 from dynahull.evidence import viewpoints
-from dynahull.evidence.lattice import cells_of
+from dynahull.evidence.lattice import cells_of, number_cells
 from dynahull.evidence.range_images import (
     CLEARLY,
     FACE,
@@ -185,3 +186,24 @@ def test_poses_place_each_scan():
     told = Viewpoints.of_poses(sensor)
     assert told.rows(np.array([3, -1, 0], np.int32)).tolist() == [3, -1, 0]
     assert told.are_told and (told.places == sensor).all()
+
+
+@pytest.mark.parametrize("wrong", ["mixed", "elsewhere", "thinned"])
+def test_wrong_scans_and_poses_cost_no_walls(shared_data, wrong):
+    """As of a map whose scan numbers say something else, or that a voxel filter thinned."""
+    file = laspy.read(shared_data / "maps/semantickitti_04.laz")
+    near = np.abs(np.asarray(file.xyz)[:, :2] - [15, 5]).max(axis=1) < 15
+    xyz = np.ascontiguousarray(file.xyz[near])
+    scan = np.asarray(file.point_source_id).astype(np.int32)[near]
+    still = np.asarray(file.user_data)[near] == 1
+    poses = None
+    if wrong == "mixed":
+        scan = np.random.default_rng(0).permutation(scan)
+    elif wrong == "elsewhere":
+        poses = np.tile([30.0, -20.0, 3.0], (10, 1))
+    else:
+        _, kept = number_cells(cells_of(xyz, 0.1))
+        xyz, scan, still = xyz[kept], scan[kept], still[kept]
+    result = clean(xyz, "auto", scan=scan, poses=poses)
+    assert still.sum() > 10_000
+    assert (still & ~result.kept).sum() < 0.005 * still.sum()

@@ -157,4 +157,5 @@ def test_range_images_that_were_damaged_are_drawn_again(tmp_path, monkeypatch, d
 
 def test_info_names_them(tmp_path):
     path = write_map(tmp_path / "map.npz", scan=SCAN)
-    assert "time        scan, 25 scans" in inspect_map([path]).to_text()
+    told = inspect_map([path], str(write_poses(tmp_path / "poses.txt"))).to_text()
+    assert "time        scan, 25 scans with poses" in told
