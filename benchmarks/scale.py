@@ -1,12 +1,13 @@
-"""Memory and time of maps of 10 and of 100 million points, cleaned in tiles.
+"""Memory, temporary files and time of maps of 10 and of 100 million points, cleaned in tiles.
 
     python -m benchmarks.scale [--points 10000000 100000000] [--folder DIR] [--workers 2]
 
 Makes each map with `dynahull-pipeline simulate --points N`, unless it is there, and cleans it in
-tiles of a million points (`--max-points`). Prints for each the wall time, microseconds a point, and
-the most memory that all processes of the run held together: anonymous and shared pages, as the
-page cache of files is the system's to give and take. Asked: below 2 GiB, within 10 % of each
-other, and the time a point within 1.15.
+tiles of a million points (`--max-points`). Prints for each the wall time, microseconds a point,
+the most that its temporary files took, and the most memory that all processes of the run held
+together: anonymous and shared pages, as the page cache of files is the system's to give and take.
+Asked of 100 million points: at most 1.5 GiB, 10 GB of temporary files, and 1.15 times the time a
+point of 10 million.
 """
 
 import argparse
@@ -14,10 +15,12 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from datetime import date
 from pathlib import Path
 
 from benchmarks.density import machine
+from pipeline.work.folder import WORK_FOLDER
 
 COMMAND = [
     sys.executable,
@@ -25,7 +28,7 @@ COMMAND = [
     "-c",
     "from pipeline.commands.app import main; main()",
 ]
-_EVERY = 0.1
+_EVERY = 0.25
 
 
 def main() -> None:
@@ -35,6 +38,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("scale"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--max-points", type=int, default=1_000_000)
+    parser.add_argument("--config", help="a ready configuration in place of the default")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}; {arguments.workers} workers")
     for points in arguments.points:
@@ -45,21 +49,26 @@ def main() -> None:
         settings = ["--set", f"execution.workers={arguments.workers}"]
         settings += ["--set", f"tiling.max_points={arguments.max_points}"]
         clean = ["run", str(folder / "map.pcd"), "-o", str(folder / "out"), *settings]
-        seconds, peak, used = measured([*COMMAND, *clean], folder / "log")
+        if arguments.config:
+            clean += ["-c", arguments.config]
+        work = folder / "out" / WORK_FOLDER
+        seconds, peak, used, files = measured([*COMMAND, *clean], folder / "log", work)
         print(
             f"{points:>13,} points: {seconds:7.1f} s, {seconds / points * 1e6:.2f} us a point; "
-            f"of processors {used / points * 1e6:.2f} us a point; peak {peak / 2**30:.2f} GiB",
+            f"of processors {used / points * 1e6:.2f} us a point; peak {peak / 2**30:.2f} GiB; "
+            f"temporary files {files / 1e9:.2f} GB, {files / points:.0f} bytes a point",
             flush=True,
         )
 
 
-def measured(command: list[str], log: Path) -> tuple[float, int, float]:
-    """Run a command; return its wall time, the most memory that its processes held, and their time.
+def measured(command: list[str], log: Path, work: Path) -> tuple[float, int, float, int]:
+    """Run a command; return its wall time, the memory and the processor time of its processes.
 
     The time is summed over processes as they were last seen: not all of them are waited for, so
-    that the system's account of ended processes lacks some.
+    that the system's account of ended processes lacks some. The last value is the most that a
+    folder of temporary files held.
     """
-    begun, peak = time.perf_counter(), 0
+    begun, peak, files = time.perf_counter(), 0, 0
     used: dict[int, float] = {}
     with log.open("w") as stream:
         process = subprocess.Popen(command, stdout=stream, stderr=stream)
@@ -67,10 +76,21 @@ def measured(command: list[str], log: Path) -> tuple[float, int, float]:
             family = family_of(process.pid)
             peak = max(peak, sum(map(held_by, family)))
             used |= {each: seconds for each in family if (seconds := processor_seconds(each))}
+            files = max(files, stored_in(work))
             time.sleep(_EVERY)
     if process.returncode:
         sys.exit(f"failed: see {log}")
-    return time.perf_counter() - begun, peak, sum(used.values())
+    return time.perf_counter() - begun, peak, sum(used.values()), files
+
+
+def stored_in(folder: Path) -> int:
+    """Return the bytes that the files of a folder take on the disk; they may go meanwhile."""
+    total = 0
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with suppress(OSError):
+                total += (Path(parent) / name).lstat().st_blocks * 512
+    return total
 
 
 def family_of(root: int) -> list[int]:

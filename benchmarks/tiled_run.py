@@ -5,7 +5,7 @@
 Runs the whole command in turn, in processes of their own: the map as one tile with two threads, in
 tiles with two workers, and in tiles with one worker. Prints medians of the wall times, and of the
 ratios within a round, as machines change their speed from one to the next. Asked: tiles at most
-1.15 times one tile, and two workers at least 1.8 times one. Each round ends with what the machine
+1.25 times one tile, and two workers at least 1.7 times one. Each round ends with what the machine
 itself gives for a second core, measured on density kernels in processes that share nothing.
 
 The kinds of run take turns forwards and backwards, so that a machine that gets slower or faster

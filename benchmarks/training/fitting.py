@@ -169,7 +169,7 @@ def _one_fold(
         if fold_of(each) == fold:
             rows, lesson = samples[number].rows, lessons[number]
             odds = first_odds(forest, each)
-            terms = second_terms(each, odds, asked)[rows]
+            terms = second_terms(each, odds, asked, rows)
             found[number] = Lesson(terms, lesson.moved, lesson.weights), odds
     return first, found
 
@@ -226,11 +226,14 @@ def first_odds(forest: Forest, each: TrainingMap) -> NDArray[np.float32]:
 
 
 def second_terms(
-    each: TrainingMap, odds: NDArray[np.float32], asked: AskedTerms
+    each: TrainingMap,
+    odds: NDArray[np.float32],
+    asked: AskedTerms,
+    rows: NDArray[np.intp] | slice = slice(None),
 ) -> NDArray[np.float32]:
-    """Return the terms of the second round of all points."""
-    pooled = pooled_terms(each.xyz, summarise_odds(each.xyz, odds))
-    return np.column_stack([odds, pooled, each.terms[:, asked.kept]])
+    """Return the terms of the second round of some points, or of all."""
+    pooled = pooled_terms(each.xyz[rows], summarise_odds(each.xyz, odds))
+    return np.column_stack([odds[rows], pooled, each.terms[rows][:, asked.kept]])
 
 
 def boosted(
