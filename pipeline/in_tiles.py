@@ -8,9 +8,9 @@ import numpy as np
 
 from dynahull.result import ClusterSummary
 from pipeline.cluster.choice import workers_for
-from pipeline.decision import Decision
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
+from pipeline.places import Decision
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views

@@ -29,8 +29,7 @@ from tiling.collection import MapCollection, content_hash
 from tiling.foreign_text import printable_path
 from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.parquet_file import open_parquet
-from tiling.formats.points import DEFAULT_BATCH
-from tiling.formats.row_digests import row_digests
+from tiling.formats.points import DEFAULT_BATCH, row_digests
 
 _BATCH = DEFAULT_BATCH // 4
 _MOST_WAYS = 10_000

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, SkipValidation
 
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import Configuration, is_elsewhere
-from pipeline.decision import Decision, Place
 from pipeline.outputs.folder import OutputNames
+from pipeline.places import Decision, Place
 from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dynahull.labels import Label
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import OutputParameters
-from pipeline.decision import Decision
 from pipeline.errors import LostPointsError
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.modes import PointScores, mode_of
+from pipeline.places import Decision
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views

@@ -14,9 +14,9 @@ from markupsafe import Markup
 from dynahull.parameters import RemovalParameters
 from dynahull.result import ClusterSummary
 from pipeline.configuration.quantities import in_time, in_units
-from pipeline.decision import Decision
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.run_report import ClusterReport, RunReport, share_of
+from pipeline.places import Decision
 from pipeline.report_page.charts import (
     MOST_HISTOGRAMS,
     Axis,

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from pipeline.decision import SCORE_STEPS, Decision
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.run_report import ClusterReport
+from pipeline.places import SCORE_STEPS, Decision
 
 NEVER = np.inf
 """Of points that no setting removes: ground, and points of infinite density."""

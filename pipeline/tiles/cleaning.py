@@ -52,9 +52,8 @@ from pipeline.work.job import (
 )
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
-from tiling.chunk_store import ChunkStore
+from tiling.chunks import ChunkStore, grid_of
 from tiling.collection import MapCollection
-from tiling.common_grid import grid_of
 from tiling.errors import GridError
 from tiling.ledger import noting
 from tiling.resolution import coarse_step_notes

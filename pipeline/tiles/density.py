@@ -1,5 +1,7 @@
 """The task that scores one tile."""
 
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,8 +14,7 @@ from dynahull.evidence.range_images import Returns
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.labels import Label
 from dynahull.warn import density_levels
-from pipeline.tiles.borders import core_densities
-from pipeline.tiles.division import divided, widened
+from pipeline.tiles.borders import Region, core_densities
 from pipeline.tiles.ground import (
     SAMPLE_NAMES,
     TilesAround,
@@ -24,7 +25,7 @@ from pipeline.tiles.ground import (
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunk_store import Chunk
+from tiling.chunks import Chunk
 
 VOXELS = "voxels"
 RETURNS = ("pixel", "range")
@@ -104,6 +105,56 @@ def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:
         return {}
     returns = Returns.of(chunk.xyz[chunk.core], viewpoints.rows(scans), viewpoints.places)
     return dict(zip(RETURNS, (returns.pixel, returns.range), strict=True))
+
+
+SIDES = (2, 4)
+"""In how many parts each way a tile is done that was too large, and again if it still was."""
+
+
+def divided(region: Region, xyz: NDArray[np.float64], sides: int) -> list[Region]:
+    """Cut a region into boxes that hold about equally many points.
+
+    A tile is worked on in such parts where the memory does not suffice for it as a whole. Its
+    points stay those of one tile in all that is kept of it.
+
+    Parameters
+    ----------
+    region : Region
+    xyz : (n, 3) float64 array
+        The points.
+    sides : int
+        Boxes each way, first by x and then by y.
+
+    Returns
+    -------
+    list of Region
+        sides x sides boxes, some perhaps empty; each place of the region is in just one.
+    """
+    if sides == 1:
+        return [region]
+    return [
+        box
+        for strip in _strips(region, xyz[region.holds(xyz), 0], 0, sides)
+        for box in _strips(strip, xyz[strip.holds(xyz), 1], 1, sides)
+    ]
+
+
+def widened(box: Region, margin: float, limits: Region) -> Region:
+    """Return a box with a margin around it, as far as it lies within limits."""
+    return Region(
+        np.maximum(box.low - margin, limits.low), np.minimum(box.high + margin, limits.high)
+    )
+
+
+def _strips(region: Region, places: NDArray[np.float64], axis: int, count: int) -> Iterator[Region]:
+    """Cut a region across one axis, where its points are."""
+    ranks = np.arange(1, count) * len(places) // count
+    inner = np.partition(places, ranks)[ranks] if len(places) else places
+    edges = [region.low[axis], *inner, region.high[axis]]
+    for start, end in pairwise(edges):
+        low, high = region.low.copy(), region.high.copy()
+        low[axis], high[axis] = start, end
+        yield Region(low, high)
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:

@@ -28,8 +28,7 @@ from pipeline.tiles.nearest import FreePoints
 from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunk_store import Chunk
-from tiling.chunks import read_chunk
+from tiling.chunks import Chunk, read_chunk
 
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 LABELS = "labels"

@@ -13,11 +13,10 @@ from dynahull.labels import Label
 from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages, smallest_counted
 from dynahull.result import NO_CLUSTER
-from pipeline.decision import Decision
 from pipeline.errors import WorkError
 from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
 from pipeline.outputs.map_sample import MapSample, is_sampled
-from pipeline.places import ARRAY_NAMES, DecisionSums
+from pipeline.places import ARRAY_NAMES, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.report_page.charts import TileWork
 from pipeline.tiles.cutting import label_unscored, protected_rows

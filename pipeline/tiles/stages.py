@@ -11,8 +11,7 @@ from pipeline.errors import TasksFailedError
 from pipeline.plan.machine import give_memory_back
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import cut_rows, gather_tile, survey_rows
-from pipeline.tiles.density import score_tile
-from pipeline.tiles.division import SIDES
+from pipeline.tiles.density import SIDES, score_tile
 from pipeline.tiles.ground import find_ground, find_high, summarise_tile
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.weighing import weigh_tile
@@ -58,7 +57,7 @@ _NAMED = 10
 def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     """Do one task of a run, and mark it as done. This is what workers are given.
 
-    With `sides` above one it is done in so many parts each way, see `pipeline.tiles.division`.
+    With `sides` above one it is done in so many parts each way, see `pipeline.tiles.density`.
     """
     job = Job.open(folder)
     begun = time.perf_counter()

@@ -19,7 +19,7 @@ from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import ARRAYS, WorkFolder
 from pipeline.work.map_state import MapState
-from tiling.chunk_store import ChunkStore
+from tiling.chunks import ChunkStore
 from tiling.collection import MapCollection
 from tiling.kept_points import KeptPoints
 

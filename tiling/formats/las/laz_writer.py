@@ -12,8 +12,7 @@ from tiling.formats.base import MapWriter
 from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
 from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
 from tiling.formats.las.laz_header import Compression, own_compression
-from tiling.formats.las.summary import LasSummary
-from tiling.formats.las.surroundings import LasSurroundings
+from tiling.formats.las.surroundings import LasSummary, LasSurroundings
 from tiling.output_file import create_file
 
 # It has no types that a checker can use.

@@ -19,8 +19,13 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
 from tiling.formats.las.crs import crs_name, crs_units
-from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
-from tiling.formats.las.fields import extra_fields, standard_fields
+from tiling.formats.las.fields import (
+    LAST_SHORT_CLASS,
+    ExtendedLas,
+    extended_header,
+    extra_fields,
+    standard_fields,
+)
 from tiling.formats.las.header import (
     AT_MINOR_VERSION,
     AT_WAVEFORMS,
