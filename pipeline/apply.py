@@ -120,7 +120,7 @@ def decide_again(
 
 def _report_of(folder: Path) -> RunReport:
     try:
-        report = RunReport.model_validate(json.loads((folder / RUN_FILE).read_text("utf-8")))
+        report = RunReport.read(folder)
     except (OSError, ValueError):
         raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
     if LABELS_FILE not in report.outputs:

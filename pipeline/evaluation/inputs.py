@@ -16,7 +16,7 @@ from pipeline.evaluation.labels import (
     read_labels_of_map,
 )
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.outputs.reading import label_batches, table_batches
+from pipeline.outputs.reading import label_batches, row_columns
 from pipeline.replacing import LABELS_FILE, RUN_FILE
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
@@ -179,7 +179,9 @@ def _removed_rows(
             f"{run.labels}: expected a label of the {original.point_count:,} points of "
             f"{original.name}, found {rows:,}: the map was changed since it was cleaned"
         )
-    return RowValues(lambda: (labels == Label.DYNAMIC for labels, _ in table_batches(run.labels)))
+    return RowValues(
+        lambda: (each["label"] == Label.DYNAMIC for each in row_columns(run.labels, ["label"]))
+    )
 
 
 def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:

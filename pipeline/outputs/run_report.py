@@ -140,6 +140,17 @@ class RunReport(BaseModel):
     configuration: dict[str, Any]
 
     @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read what a finished run left in its folder.
+
+        Raises
+        ------
+        OSError, ValueError
+            When there is no such file, or it is not the report of a run.
+        """
+        return cls.model_validate(json.loads((folder / RUN_FILE).read_text(encoding="utf-8")))
+
+    @classmethod
     def of(
         cls,
         folder: Path,
