@@ -43,19 +43,13 @@ from dynahull.warn import (
 
 
 class SetAside(NamedTuple):
-    """What is not scored, and why.
-
-    Attributes
-    ----------
-    ground, above : (N,) bool arrays
-        Disjoint; `above` is higher than `max_height`.
-    height : (N,) float64 array
-        Above the local ground, metres; NaN where none is near, or nobody asked.
-    """
+    """What is not scored, and why."""
 
     ground: NDArray[np.bool_]
     above: NDArray[np.bool_]
+    """(N,): disjoint; `above` is higher than `max_height`."""
     height: NDArray[np.float64]
+    """(N,): above the local ground, metres; NaN where none is near, or nobody asked."""
 
 
 def clean(

@@ -26,15 +26,10 @@ _FEWEST_SAMPLED = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Clusters:
-    """A fitted model.
-
-    Attributes
-    ----------
-    centroids : (count, 3) float64 array
-        In the coordinates of the map; no rows where there was nothing to cluster.
-    """
+    """A fitted model."""
 
     centroids: NDArray[np.float64]
+    """(count, 3): in the coordinates of the map; no rows where there was nothing to cluster."""
 
     def nearest(self, points: NDArray[np.float64], *, threads: int = 1) -> NDArray[np.int32]:
         """Return the index of each point's nearest centroid, the lower one of two equally near.

@@ -11,21 +11,15 @@ Corner = tuple[float, float]
 
 
 class Area(BaseModel):
-    """A polygon seen from above, between two heights; metres, as the map's coordinates.
-
-    Attributes
-    ----------
-    rings : tuple of rings, each of at least three corners (x, y)
-        What lies within an odd number of them is in the area: the second ring is a hole.
-    low, high : float or None
-        z; None for no limit.
-    """
+    """A polygon seen from above, between two heights; metres, as the map's coordinates."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     rings: tuple[tuple[Corner, ...], ...]
+    """What lies within an odd number of them is in the area: the second ring is a hole."""
     low: float | None = None
     high: float | None = None
+    """z; None for no limit."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

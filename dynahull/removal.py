@@ -23,19 +23,13 @@ STEPS_PER_SPREAD = 100
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """What a cluster loses.
-
-    Attributes
-    ----------
-    dynamic : (n,) bool array
-        The points removed.
-    threshold : float or None
-        `rank`: the density of the densest point removed, None where none is. `stepped`: the
-        threshold reached; the points below it are removed. None where the evidence decides.
-    """
+    """What a cluster loses."""
 
     dynamic: NDArray[np.bool_]
+    """(n,): the points removed."""
     threshold: float | None
+    """`rank`: the density of the densest point removed, None where none is. `stepped`: the
+    threshold reached; the points below it are removed. None where the evidence decides."""
 
 
 def remove_least_dense(

@@ -42,28 +42,19 @@ OUTSKIRTS_NAMES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strays:
-    """The verdict on a whole map.
-
-    Attributes
-    ----------
-    heap : int
-        Points at exactly the origin, if they are a heap; otherwise 0.
-    at_origin : int
-        Points at exactly the origin, if they are none.
-    rows : (n,) int64 array
-        Row numbers of the strays, ascending.
-    points : (n, 3) float64 array
-        Where they are.
-    low, high : (3,) float64 arrays
-        All other points lie within.
-    """
+    """The verdict on a whole map."""
 
     heap: int
+    """Points at exactly the origin, if they are a heap; otherwise 0."""
     at_origin: int
+    """Points at exactly the origin, if they are none."""
     rows: NDArray[np.int64]
+    """(n,): row numbers of the strays, ascending."""
     points: NDArray[np.float64]
+    """(n, 3): where they are."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(3,): all other points lie within."""
 
 
 class Outskirts:

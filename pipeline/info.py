@@ -71,37 +71,25 @@ class FileInfo(BaseModel):
 
 
 class MapInfo(BaseModel):
-    """What a map of one or more files holds.
-
-    Attributes
-    ----------
-    files : list of FileInfo
-    points : int
-    units : tuple of str
-        Of x, y and z, those of the first file that tells them.
-    minimum, maximum : tuple of float or None
-        Bounds of the finite points, in the map's units; None where there are none.
-    non_finite : int
-        Points with a coordinate that is NaN or infinite.
-    duplicates : int
-        Finite points at coordinates that an earlier point has already.
-    time : str
-        What tells when points were seen, in words.
-    notes : list of str
-        What of the whole map is to be minded.
-    """
+    """What a map of one or more files holds."""
 
     model_config = ConfigDict(frozen=True)
 
     files: list[FileInfo]
     points: int
     units: tuple[str, str, str] = ("m", "m", "m")
+    """Of x, y and z, those of the first file that tells them."""
     minimum: tuple[float, float, float] | None
     maximum: tuple[float, float, float] | None
+    """Bounds of the finite points, in the map's units; None where there are none."""
     non_finite: int
+    """Points with a coordinate that is NaN or infinite."""
     duplicates: int
+    """Finite points at coordinates that an earlier point has already."""
     time: str = "none"
+    """What tells when points were seen, in words."""
     notes: list[str] = []
+    """What of the whole map is to be minded."""
 
     def to_text(self) -> str:
         """Return the information as aligned lines."""

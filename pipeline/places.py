@@ -30,30 +30,21 @@ class PlaceReason(BaseModel):
 
 
 class Place(BaseModel):
-    """A connected group of removed points.
-
-    Attributes
-    ----------
-    number : int
-        From 1, the place of most points.
-    points : int
-        Removed there.
-    low, high : (x, y, z)
-        Corners of the box around it, metres; whole voxels.
-    score : float or None
-        Mean probability of having moved; None where no evidence was weighed.
-    reasons : tuple of PlaceReason
-        Of most points first.
-    """
+    """A connected group of removed points."""
 
     model_config = ConfigDict(frozen=True)
 
     number: int
+    """From 1, the place of most points."""
     points: int
+    """Removed there."""
     low: tuple[float, float, float]
     high: tuple[float, float, float]
+    """Corners of the box around it, metres; whole voxels."""
     score: float | None
+    """Mean probability of having moved; None where no evidence was weighed."""
     reasons: tuple[PlaceReason, ...]
+    """Of most points first."""
 
     @property
     def middle(self) -> tuple[float, float, float]:
@@ -70,27 +61,19 @@ class Place(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What was decided.
-
-    Attributes
-    ----------
-    places : tuple of Place
-        Those of most points.
-    place_count : int
-        All there are.
-    scattered : int
-        Removed points in groups too small to be a place.
-    uncertain : int
-        Points that were kept with half of the confidence asked for, at least.
-    scores : (101,) int64 array
-        Points of a score of 0, 0.01 ... 1, and less than a step above it; none without evidence.
-    """
+    """What was decided."""
 
     places: tuple[Place, ...]
+    """Those of most points."""
     place_count: int
+    """All there are."""
     scattered: int
+    """Removed points in groups too small to be a place."""
     uncertain: int
+    """Points that were kept with half of the confidence asked for, at least."""
     scores: NDArray[np.int64]
+    """(101,): points of a score of 0, 0.01 ... 1, and less than a step above it; none without
+    evidence."""
 
     def removed_at(self) -> NDArray[np.int64]:
         """Return how many points go at a confidence of 0, 0.01 ... 1, (101,)."""
@@ -135,24 +118,17 @@ _MANY = 100_000
 
 @dataclass(frozen=True, slots=True)
 class DecisionSums:
-    """What the tiles say of the decision; the sums of a map are those of its tiles, added up.
-
-    Attributes
-    ----------
-    open : Voxels
-        Of groups that may go on elsewhere: points, scores in thousandths, points of each reason.
-    whole : (P, W) int64 array
-        Places, those of most points first: the same sums, then the lowest and the highest cell.
-    counts : (3,) int64 array
-        Whole places, also those that are not listed, scattered points, uncertain points.
-    scores : (101,) int64 array
-        See `Decision.scores`.
-    """
+    """What the tiles say of the decision; the sums of a map are those of its tiles, added up."""
 
     open: Voxels
+    """Of groups that may go on elsewhere: points, scores in thousandths, points of each reason."""
     whole: Integers
+    """(P, W): places, those of most points first: the same sums, then the lowest and the highest
+    cell."""
     counts: Integers
+    """(3,): whole places, also those that are not listed, scattered points, uncertain points."""
     scores: Integers
+    """(101,): see `Decision.scores`."""
 
     @classmethod
     def empty(cls) -> Self:

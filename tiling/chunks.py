@@ -29,21 +29,14 @@ _STORE_FILE = "store.json"
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Points of a tile and around it, in the order of their rows.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-        As the map has them, to the last bit.
-    rows : (n,) int64 array
-        Row numbers in the whole map.
-    core : (n,) bool array
-        Whether the point lies in the tile's core; otherwise in its halo.
-    """
+    """Points of a tile and around it, in the order of their rows."""
 
     xyz: NDArray[np.float64]
+    """(n, 3): as the map has them, to the last bit."""
     rows: NDArray[np.int64]
+    """(n,): row numbers in the whole map."""
     core: NDArray[np.bool_]
+    """(n,): whether the point lies in the tile's core; otherwise in its halo."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -58,32 +51,21 @@ class Chunk:
 
 @dataclass(frozen=True, eq=False)
 class ChunkStore:
-    """A folder for the chunks of one map, cut in one way.
-
-    Attributes
-    ----------
-    folder : Path
-    layout : Layout
-        The tiles.
-    halo : float
-        Width of the halo around each core, metres.
-    point_count : int
-        Points of the map, finite or not.
-    format : "parquet", "las" or "laz"
-        Of the chunks.
-    grid : Grid or None
-        Of the coordinates; needed for LAS, see `tiling.chunks.grid_of`.
-    max_points : int
-        What a core may hold, unless it is a single column.
-    """
+    """A folder for the chunks of one map, cut in one way."""
 
     folder: Path
     layout: Layout
+    """The tiles."""
     halo: float
+    """Width of the halo around each core, metres."""
     point_count: int
+    """Points of the map, finite or not."""
     format: ChunkFormat = "parquet"
+    """Of the chunks."""
     grid: Grid | None = None
+    """Of the coordinates; needed for LAS, see `tiling.chunks.grid_of`."""
     max_points: int = 1
+    """What a core may hold, unless it is a single column."""
 
     def __post_init__(self) -> None:
         if self.format != "parquet" and self.grid is None:

@@ -10,16 +10,11 @@ _LARGEST = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Coordinates as 32-bit integers: coordinate = integer * scale + offset.
-
-    Attributes
-    ----------
-    scales, offsets : tuple of three float
-        Of x, y and z.
-    """
+    """Coordinates as 32-bit integers: coordinate = integer * scale + offset."""
 
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
+    """Of x, y and z."""
 
     def coordinates(self, integers: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return the coordinates of integers, both (n, 3)."""

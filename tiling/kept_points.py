@@ -38,17 +38,11 @@ def bytes_kept(collection: MapCollection) -> int:
 
 @dataclass(frozen=True)
 class KeptPoints:
-    """A file of the points of a map, row by row.
-
-    Attributes
-    ----------
-    path : Path
-    collection : MapCollection
-        The map.
-    """
+    """A file of the points of a map, row by row."""
 
     path: Path
     collection: MapCollection
+    """The map."""
 
     @cached_property
     def has_records(self) -> bool:

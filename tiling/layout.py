@@ -29,45 +29,30 @@ _Places = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """One tile.
-
-    Attributes
-    ----------
-    index : int
-        Its number in the layout.
-    low, high : (2,) float64 arrays
-        Core: low <= x, y < high, metres; infinite at the edge of the lattice.
-    point_count : int
-        Points in the core.
-    """
+    """One tile."""
 
     index: int
+    """Its number in the layout."""
     low: Corners
     high: Corners
+    """(2,), the core: low <= x, y < high, metres; infinite at the edge of the lattice."""
     point_count: int
+    """Points in the core."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The tiles of a map, in Morton order: near in order is near in place.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a lattice column, metres.
-    origin : (2,) int64 array
-        Column at which the root of the quadtree begins.
-    begins, ends : (T, 2) int64 arrays
-        Cores in columns, half-open, no larger than the points in them need.
-    counts : (T,) int64 array
-        Points in each core.
-    """
+    """The tiles of a map, in Morton order: near in order is near in place."""
 
     cell: float
+    """Side of a lattice column, metres."""
     origin: Columns
+    """(2,): column at which the root of the quadtree begins."""
     begins: Columns
     ends: Columns
+    """(T, 2): cores in columns, half-open, no larger than the points in them need."""
     counts: NDArray[np.int64]
+    """(T,): points in each core."""
 
     def typical_place(self) -> NDArray[np.float64]:
         """Return the median distance of tiles from the origin along x and y, (3,), weighted.

@@ -26,20 +26,14 @@ Columns = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """Points in each occupied column of a square lattice anchored at the coordinates' origin.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a column, metres: `FINEST_CELL` times a power of two.
-    columns : (M, 2) int64 array
-        floor(x / cell), floor(y / cell) of the occupied columns, in lexicographic order.
-    counts : (M,) int64 array
-    """
+    """Points in each occupied column of a square lattice anchored at the coordinates' origin."""
 
     cell: float
+    """Side of a column, metres: `FINEST_CELL` times a power of two."""
     columns: Columns
+    """(M, 2): floor(x / cell), floor(y / cell) of the occupied columns, in lexicographic order."""
     counts: NDArray[np.int64]
+    """(M,)"""
 
     def without(self, xyz: NDArray[np.float64]) -> "Occupancy":
         """Return the occupancy without some of the points that it counts, few of them."""

@@ -30,31 +30,22 @@ class DistanceStatistics(BaseModel):
 
     The DynaHull paper (Habibiroudkenar, Ojala, Tammi 2024, arXiv 2401.07541) reports them; in
     metres, the variance in square metres.
-
-    Attributes
-    ----------
-    count : int
-        n, points of the cleaned map that are compared.
-    mean_absolute_error : float
-        MAE, sum(d) / n.
-    variance : float
-        sum((d - MAE)^2) / n: of the points at hand, not an estimate for others (no n - 1).
-    root_mean_square_error : float
-        RMSE, sqrt(sum(d^2) / n); its square is variance + MAE^2.
-    percentile_90 : float
-        A tenth of the points is farther away; linear between the two nearest in rank.
-    largest : float
-        The one-sided Hausdorff distance.
     """
 
     model_config = ConfigDict(frozen=True)
 
     count: int
+    """n, points of the cleaned map that are compared."""
     mean_absolute_error: float
+    """MAE, sum(d) / n."""
     variance: float
+    """sum((d - MAE)^2) / n: of the points at hand, not an estimate for others (no n - 1)."""
     root_mean_square_error: float
+    """RMSE, sqrt(sum(d^2) / n); its square is variance + MAE^2."""
     percentile_90: float
+    """A tenth of the points is farther away; linear between the two nearest in rank."""
     largest: float
+    """The one-sided Hausdorff distance."""
 
     @classmethod
     def of(cls, distances: Distances) -> "DistanceStatistics":
@@ -76,20 +67,14 @@ class DistanceStatistics(BaseModel):
 
 
 class DirectedChamfer(BaseModel):
-    """One direction of the Chamfer distance: from each point to its nearest in the other map.
-
-    Attributes
-    ----------
-    squared : float
-        Mean of the squared distances, square metres.
-    unsquared : float
-        Mean of the distances, metres.
-    """
+    """One direction of the Chamfer distance: from each point to its nearest in the other map."""
 
     model_config = ConfigDict(frozen=True)
 
     squared: float
+    """Mean of the squared distances, square metres."""
     unsquared: float
+    """Mean of the distances, metres."""
 
     @classmethod
     def of(cls, distances: Distances) -> "DirectedChamfer":
@@ -106,25 +91,18 @@ class ChamferDistance(BaseModel):
     of Fan, Su, Guibas (CVPR 2017), by means in place of their sums, so that it does
     not grow with the number of points. Published code and text differ in the square, in adding or
     averaging the directions, and in taking one direction only, so all parts are here.
-
-    Attributes
-    ----------
-    squared : float
-        Both directions added, square metres.
-    unsquared : float
-        The same of plain distances, metres.
-    cleaned_to_truth : DirectedChamfer
-        What the cleaned map has too much.
-    truth_to_cleaned : DirectedChamfer
-        What it lacks.
     """
 
     model_config = ConfigDict(frozen=True)
 
     squared: float
+    """Both directions added, square metres."""
     unsquared: float
+    """The same of plain distances, metres."""
     cleaned_to_truth: DirectedChamfer
+    """What the cleaned map has too much."""
     truth_to_cleaned: DirectedChamfer
+    """What it lacks."""
 
     @classmethod
     def of(

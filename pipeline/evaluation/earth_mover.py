@@ -33,28 +33,20 @@ class EarthMoversDistance(BaseModel):
 
     Rubner, Tomasi, Guibas (IJCV 2000) with equal total weights, which is the Wasserstein distance;
     `ot.emd2` of POT (Flamary et al., JMLR 2021). The DynaHull paper reports it.
-
-    Attributes
-    ----------
-    distance : float
-        Mean cost of a unit of weight: metres, or square metres with the squared ground cost.
-    sampling_floor : float
-        The same between two samples of the truth alone.
-    cleaned_points, truth_points : int
-        Sizes of the samples, drawn at random, uniformly, without replacement; a map that has fewer
-        points than were asked for is its own sample.
-    ground_cost : str
-        Of moving a unit from x to y: `euclidean` |x - y|, `sqeuclidean` |x - y|^2.
-    seed : int
     """
 
     model_config = ConfigDict(frozen=True)
 
     distance: float
+    """Mean cost of a unit of weight: metres, or square metres with the squared ground cost."""
     sampling_floor: float
+    """The same between two samples of the truth alone."""
     cleaned_points: int
     truth_points: int
+    """Sizes of the samples, drawn at random, uniformly, without replacement; a map that has fewer
+    points than were asked for is its own sample."""
     ground_cost: GroundCost
+    """Of moving a unit from x to y: `euclidean` |x - y|, `sqeuclidean` |x - y|^2."""
     seed: int
 
 

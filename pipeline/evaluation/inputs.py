@@ -25,30 +25,20 @@ from tiling.formats.parquet_file import row_count
 
 @dataclass(frozen=True, slots=True)
 class EvaluationInputs:
-    """What is to be compared.
-
-    Attributes
-    ----------
-    cleaned : MapCollection
-    truth : MapCollection or None
-        A map of what is static; None where `labels` say it.
-    original : MapCollection or None
-        The map before it was cleaned.
-    labels : RowValues or None
-        `Truth` of each row of the original, where the user has it.
-    removed : RowValues or None
-        Which rows of the original the run removed, bool, where its folder says so.
-    kept : RowValues or None
-        Which points of `cleaned` are left, bool, where the run labelled them all (output.mode
-        label).
-    """
+    """What is to be compared."""
 
     cleaned: MapCollection
     truth: MapCollection | None
+    """A map of what is static; None where `labels` say it."""
     original: MapCollection | None
+    """The map before it was cleaned."""
     labels: RowValues | None
+    """`Truth` of each row of the original, where the user has it."""
     removed: RowValues | None
+    """Which rows of the original the run removed, bool, where its folder says so."""
     kept: RowValues | None = None
+    """Which points of `cleaned` are left, bool, where the run labelled them all (output.mode
+    label)."""
 
 
 @dataclass(frozen=True, slots=True)

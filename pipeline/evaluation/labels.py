@@ -41,15 +41,10 @@ Labels = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True)
 class RowValues:
-    """Values of all rows of a map, which can be gone through several times.
-
-    Attributes
-    ----------
-    read : callable
-        Begins a pass: returns arrays that together are the values of all rows, in order.
-    """
+    """Values of all rows of a map, which can be gone through several times."""
 
     read: Callable[[], Iterable[NDArray[Any]]]
+    """Begins a pass: returns arrays that together are the values of all rows, in order."""
 
     @classmethod
     def of(cls, values: NDArray[Any]) -> "RowValues":

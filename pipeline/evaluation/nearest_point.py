@@ -21,19 +21,13 @@ _Floats = NDArray[np.float64]
 
 
 class Nearest(NamedTuple):
-    """What is nearest to some places.
-
-    Attributes
-    ----------
-    distances : (m,) float64 array
-        Infinite where nothing is near enough.
-    labels : (m,) int8 array
-        `Truth` of the nearest point: of equally near ones the first in the order of `Truth`, so
-        that no order of rows matters; unknown where nothing is near enough.
-    """
+    """What is nearest to some places."""
 
     distances: _Floats
+    """(m,): infinite where nothing is near enough."""
     labels: Labels
+    """(m,): `Truth` of the nearest point: of equally near ones the first in the order of `Truth`,
+    so that no order of rows matters; unknown where nothing is near enough."""
 
 
 def find_nearest(places: _Floats, cloud: TiledCloud, at_most: float = np.inf) -> Nearest:

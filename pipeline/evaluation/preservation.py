@@ -27,29 +27,21 @@ class Preservation(BaseModel):
     than half a voxel's diagonal and has the same label. Of equally near points the static one
     counts here, where in the code the order of the rows decides. The code's list of dynamic classes
     lacks 258, the moving truck; here they are what the user says.
-
-    Attributes
-    ----------
-    preservation_rate : float or None
-        PR.
-    rejection_rate : float or None
-        RR.
-    f1 : float or None
-        2 PR RR / (PR + RR).
-    voxel : float
-        Edge, metres.
-    static_voxels, dynamic_voxels : int
-        Of the original.
     """
 
     model_config = ConfigDict(frozen=True)
 
     preservation_rate: float | None
+    """PR."""
     rejection_rate: float | None
+    """RR."""
     f1: float | None
+    """2 PR RR / (PR + RR)."""
     voxel: float
+    """Edge, metres."""
     static_voxels: int
     dynamic_voxels: int
+    """Of the original."""
 
     @classmethod
     def of(cls, voxels: Tally, voxel: float) -> "Preservation":

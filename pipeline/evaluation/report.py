@@ -43,32 +43,16 @@ class MapFiles(BaseModel):
 
 
 class EvaluationReport(BaseModel):
-    """Everything an evaluation has to say.
-
-    Attributes
-    ----------
-    version, finished : str
-        Of this product; date and time, UTC, ISO 8601.
-    cleaned : MapFiles
-    truth : str
-        As it was given.
-    original : MapFiles or None
-    options : EvaluationOptions
-    distances, chamfer, earth_mover, confusion, accuracy, preservation : models
-        The figures; None where they were not asked for, or need an original map.
-    seconds : dict of str to float
-        Wall time of each stage.
-    peak_memory_bytes : int
-        Of this process.
-    warnings : list of str
-    """
+    """Everything an evaluation has to say."""
 
     model_config = ConfigDict(frozen=True)
 
     version: str
     finished: str
+    """Of this product; date and time, UTC, ISO 8601."""
     cleaned: MapFiles
     truth: Annotated[str, SkipValidation]
+    """As it was given."""
     original: MapFiles | None
     options: EvaluationOptions
     distances: DistanceStatistics
@@ -77,8 +61,11 @@ class EvaluationReport(BaseModel):
     confusion: Confusion | None
     accuracy: DynamicMapAccuracy | None
     preservation: Preservation | None
+    """The figures; None where they were not asked for, or need an original map."""
     seconds: dict[str, float]
+    """Wall time of each stage."""
     peak_memory_bytes: int
+    """Of this process."""
     warnings: list[Annotated[str, SkipValidation]]
 
     @classmethod

@@ -154,23 +154,15 @@ class TiledCloud:
 
 @dataclass(frozen=True, slots=True)
 class CloudSource:
-    """A map that is to be cut, and what is known of its rows.
-
-    Attributes
-    ----------
-    collection : MapCollection
-    chosen : RowValues or None
-        Which rows belong to the cloud; otherwise all.
-    labels : RowValues or None
-        `Truth` of each row; otherwise all points are called static.
-    removed : RowValues or None
-        Which rows were removed; otherwise the cloud does not know.
-    """
+    """A map that is to be cut, and what is known of its rows."""
 
     collection: MapCollection
     chosen: RowValues | None = None
+    """Which rows belong to the cloud; otherwise all."""
     labels: RowValues | None = None
+    """`Truth` of each row; otherwise all points are called static."""
     removed: RowValues | None = None
+    """Which rows were removed; otherwise the cloud does not know."""
 
     def batches(self) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         """Yield rows read, and `xyz`, `rows`, `labels` and perhaps `removed` of the points."""

@@ -25,27 +25,18 @@ _COARSEST_TIME = 2.0
 
 @dataclass(frozen=True, slots=True)
 class FoundMap:
-    """A map that is there.
-
-    Attributes
-    ----------
-    path : Path
-        The file, or the folder; absolute.
-    files : tuple of Path
-        What the map consists of, in the order in which a run reads them.
-    configuration : Configuration
-        How it is cleaned.
-    root : Path
-        The folder of the input, out of which no link is followed.
-    poses : tuple of Path
-        What the poses of its files are read from, where they are scans.
-    """
+    """A map that is there."""
 
     path: Path
+    """The file, or the folder; absolute."""
     files: tuple[Path, ...]
+    """What the map consists of, in the order in which a run reads them."""
     configuration: Configuration
+    """How it is cleaned."""
     root: Path
+    """The folder of the input, out of which no link is followed."""
     poses: tuple[Path, ...] = ()
+    """What the poses of its files are read from, where they are scans."""
 
     def states(self) -> Fingerprint:
         """Return the states of all files that it is read from.
@@ -64,18 +55,12 @@ class FoundMap:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """An input that could not be looked at.
-
-    Attributes
-    ----------
-    root : Path
-        What should be there.
-    message : str
-        In one line.
-    """
+    """An input that could not be looked at."""
 
     root: Path
+    """What should be there."""
     message: str
+    """In one line."""
 
 
 def find_maps(

@@ -20,83 +20,55 @@ Fingerprint = tuple[FileState, ...]
 
 
 class Attempt(BaseModel):
-    """A run that was begun and of whose end the journal does not know.
-
-    Attributes
-    ----------
-    run : str
-        Name of its folder.
-    tasks : int
-        Tasks that earlier nights had done for it.
-    """
+    """A run that was begun and of whose end the journal does not know."""
 
     model_config = ConfigDict(extra="forbid")
 
     run: str
+    """Name of its folder."""
     tasks: int
+    """Tasks that earlier nights had done for it."""
 
 
 class Failure(BaseModel):
-    """Why a map failed, and how often.
-
-    Attributes
-    ----------
-    key : str
-        What failed: hash of content and configuration, or of the states of files that cannot be
-        read.
-    version : str
-        Of the product.
-    attempts : int
-        Nights that it failed.
-    reason : str
-        The last one, in one line.
-    """
+    """Why a map failed, and how often."""
 
     model_config = ConfigDict(extra="forbid")
 
     key: str
+    """What failed: hash of content and configuration, or of the states of files that cannot be
+    read."""
     version: str
+    """Of the product."""
     attempts: int
+    """Nights that it failed."""
     reason: str
+    """The last one, in one line."""
 
 
 class MapRecord(BaseModel):
-    """What is known of one map; results are not recorded, since they are there to be seen.
-
-    Attributes
-    ----------
-    first_seen : float
-        Seconds since 1970.
-    fingerprint : Fingerprint
-        Of the files when their content was hashed.
-    content : str or None
-        SHA-256 of their bytes; None where no later look may rely on it.
-    poses : str
-        SHA-256 of the files of their poses; empty where there are none.
-    attempt : Attempt or None
-    failure : Failure or None
-    stalled : bool
-        Whether the last attempt was cut off without a step further: others go first then.
-    vanished : bool
-        Whether the files were gone when last looked for.
-    seen : Fingerprint
-        Of files whose dates are in the future: as they were when last looked at,
-    seen_since : float
-        and since when they have been so, seconds since 1970.
-    """
+    """What is known of one map; results are not recorded, since they are there to be seen."""
 
     model_config = ConfigDict(extra="forbid")
 
     first_seen: float
+    """Seconds since 1970."""
     fingerprint: Fingerprint = ()
+    """Of the files when their content was hashed."""
     content: str | None = None
+    """SHA-256 of their bytes; None where no later look may rely on it."""
     poses: str = ""
+    """SHA-256 of the files of their poses; empty where there are none."""
     attempt: Attempt | None = None
     failure: Failure | None = None
     stalled: bool = False
+    """Whether the last attempt was cut off without a step further: others go first then."""
     vanished: bool = False
+    """Whether the files were gone when last looked for."""
     seen: Fingerprint = ()
+    """Of files whose dates are in the future: as they were when last looked at."""
     seen_since: float = 0.0
+    """Since when they have been so, seconds since 1970."""
 
 
 class _Stored(BaseModel):

@@ -48,39 +48,25 @@ logger = logging.getLogger("dynahull")
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What to clean.
-
-    Attributes
-    ----------
-    map : Path
-        A file, or the folder of a map of several.
-    output : Path
-        Folder of the run.
-    configuration : Configuration
-    root : Path
-        The folder that the map lies in, and no link leads out of.
-    """
+    """What to clean."""
 
     map: Path
+    """A file, or the folder of a map of several."""
     output: Path
+    """Folder of the run."""
     configuration: Configuration
     root: Path
+    """The folder that the map lies in, and no link leads out of."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a run ended.
-
-    Attributes
-    ----------
-    how : str
-        `stopped`: as it was asked to. `died`: without a word.
-    reason : str
-        Of a failure, in one line.
-    """
+    """How a run ended."""
 
     how: Literal["cleaned", "failed", "no space", "stopped", "died"]
+    """`stopped`: as it was asked to. `died`: without a word."""
     reason: str = ""
+    """Of a failure, in one line."""
 
 
 _REQUEST = TypeAdapter(Request)

@@ -71,15 +71,10 @@ def result_key(
 
 @dataclass(frozen=True, slots=True)
 class MapFolder:
-    """The folder of one map's results.
-
-    Attributes
-    ----------
-    path : Path
-        It need not be there yet.
-    """
+    """The folder of one map's results."""
 
     path: Path
+    """It need not be there yet."""
 
     def runs(self) -> list[Path]:
         """Return the folders of all runs, the oldest first."""

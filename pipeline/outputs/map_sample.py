@@ -30,39 +30,27 @@ def magnitude(density: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class MapSample:
-    """Some points of a map, and what the method made of them; invalid points are not among them.
-
-    Attributes
-    ----------
-    total : int
-        Points of the whole map.
-    rows : (n,) int64 array
-        Row numbers, ascending.
-    xyz : (n, 3) float64 array
-        Metres.
-    labels : (n,) uint8 array
-    cluster : (n,) int32 array
-        -1 where not clustered.
-    density : (n,) float64 array
-        NaN where not scored.
-    score : (n,) float32 array
-        Probability of having moved; NaN where not scored, or not weighed.
-    scan : (n,) int32 array or None
-        Number of the scan that saw each, -1 where not known; None where nothing tells.
-    met, through : (n,) int64 array or None
-        How many scans met its voxel, and saw through it; None where poses are not known.
-    """
+    """Some points of a map, and what the method made of them; invalid points are not among them."""
 
     total: int
+    """Points of the whole map."""
     rows: NDArray[np.int64]
+    """(n,): row numbers, ascending."""
     xyz: NDArray[np.float64]
+    """(n, 3): metres."""
     labels: NDArray[np.uint8]
+    """(n,)"""
     cluster: NDArray[np.int32]
+    """(n,): -1 where not clustered."""
     density: NDArray[np.float64]
+    """(n,): NaN where not scored."""
     score: NDArray[np.float32]
+    """(n,): probability of having moved; NaN where not scored, or not weighed."""
     scan: NDArray[np.int32] | None = None
+    """(n,): number of the scan that saw each, -1 where not known; None where nothing tells."""
     met: NDArray[np.int64] | None = None
     through: NDArray[np.int64] | None = None
+    """(n,): how many scans met its voxel, and saw through it; None where poses are not known."""
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -28,18 +28,12 @@ Labels = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointScores:
-    """What a labelled map says of each point beside its label.
-
-    Attributes
-    ----------
-    density : (n,) float64 array
-        NaN where not scored.
-    score : (n,) float32 array or None
-        Probability of having moved; None where no evidence was weighed.
-    """
+    """What a labelled map says of each point beside its label."""
 
     density: NDArray[np.float64]
+    """(n,): NaN where not scored."""
     score: NDArray[np.float32] | None
+    """(n,): probability of having moved; None where no evidence was weighed."""
 
     def of(self, rows: slice) -> "PointScores":
         """Return those of some rows."""

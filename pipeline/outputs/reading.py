@@ -26,20 +26,14 @@ Densities = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ResultPoints:
-    """What became of every finite point of a map.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-    labels : (n,) uint8 array
-        `Label` of each; only static and dynamic where the outputs tell no more.
-    density : (n,) float64 array or None
-        None where the outputs do not tell; NaN for points that are not scored.
-    """
+    """What became of every finite point of a map."""
 
     xyz: Points
+    """(n, 3)"""
     labels: Labels
+    """(n,): `Label` of each; only static and dynamic where the outputs tell no more."""
     density: Densities | None
+    """(n,): None where the outputs do not tell; NaN for points that are not scored."""
 
 
 def read_result(folder: Path) -> ResultPoints:

@@ -70,74 +70,50 @@ class ClusterReport(BaseModel):
 
 
 class RunReport(BaseModel):
-    """Everything a run has to say.
-
-    Attributes
-    ----------
-    version : str
-        Of this product.
-    finished : str
-        Date and time, UTC, ISO 8601.
-    output : str
-        The output folder.
-    outputs : list of str
-        The files written into it.
-    input_hash : str
-        SHA-256 over the bytes of the input files, in order.
-    files : list of InputFile
-        The map's files, and the names of what became of each.
-    points : int
-        Points of the whole map.
-    counts : dict of str to int
-        Points of each label; they add up to `points`.
-    clusters : list of ClusterReport
-    places : list of Place
-        Where points were removed, the places of most points first.
-    place_count : int or None
-        All places, also those that are not listed; None in reports of old.
-    scattered_points : int or None
-        Removed points that are in no place.
-    uncertain_points : int or None
-        Points kept, though at least half as likely to have moved as those that go; None where the
-        evidence was not asked.
-    seconds : dict of str to float
-        Wall time of each stage.
-    peak_memory_bytes : int
-        Of this process.
-    peak_memory_all_bytes : int or None
-        Of this process and its workers together, at most: each is taken to be as large as the
-        largest. None where workers are on other machines.
-    warnings : list of str
-    system : str
-        Coordinate reference system and unit of the map, in words.
-    time : str or None
-        What told when points were seen, in words; None where the evidence was not asked.
-    configuration : dict
-        As resolved; the same as in `config.yaml`.
-    """
+    """Everything a run has to say."""
 
     model_config = ConfigDict(frozen=True)
 
     version: str
+    """Of this product."""
     finished: str
+    """Date and time, UTC, ISO 8601."""
     output: FileName
+    """The output folder."""
     outputs: list[FileName]
+    """The files written into it."""
     input_hash: str
+    """SHA-256 over the bytes of the input files, in order."""
     files: list[InputFile]
+    """The map's files, and the names of what became of each."""
     points: int
+    """Points of the whole map."""
     counts: dict[str, int]
+    """Points of each label; they add up to `points`."""
     clusters: list[ClusterReport]
     places: list[Place] = []
+    """Where points were removed, the places of most points first."""
     place_count: int | None = None
+    """All places, also those that are not listed; None in reports of old."""
     scattered_points: int | None = None
+    """Removed points that are in no place."""
     uncertain_points: int | None = None
+    """Points kept, though at least half as likely to have moved as those that go; None where the
+    evidence was not asked."""
     seconds: dict[str, float]
+    """Wall time of each stage."""
     peak_memory_bytes: int
+    """Of this process."""
     peak_memory_all_bytes: int | None = None
+    """Of this process and its workers together, at most: each is taken to be as large as the
+    largest. None where workers are on other machines."""
     warnings: list[FileName]
     system: str = ""
+    """Coordinate reference system and unit of the map, in words."""
     time: str | None = None
+    """What told when points were seen, in words; None where the evidence was not asked."""
     configuration: dict[str, Any]
+    """As resolved; the same as in `config.yaml`."""
 
     @classmethod
     def read(cls, folder: Path) -> Self:

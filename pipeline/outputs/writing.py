@@ -31,39 +31,24 @@ from tiling.output_file import create_file
 
 @dataclass(frozen=True, slots=True)
 class CleanedMap:
-    """What became of every point, in memory or in files that look like it.
-
-    Attributes
-    ----------
-    labels : (N,) uint8 array
-    cluster : (N,) int32 array or None
-    density : (N,) float64 array or None
-    score : (N,) float32 array or None
-    reason : (N,) uint8 array or None
-        None where nobody asked for them.
-    counts : dict of str to int
-        Points of each label.
-    clusters : tuple of ClusterSummary
-    decision : Decision
-    views : callable or None
-        Gives what the report shows; None where none is wanted.
-    tiles : TileWork or None
-        What they took; None where no report is wanted, or the map is one tile.
-    time : str or None
-        What told when points were seen, "none" where nothing did; None where nobody asked.
-    """
+    """What became of every point, in memory or in files that look like it."""
 
     labels: NDArray[np.uint8]
     cluster: NDArray[np.int32] | None
     density: NDArray[np.float64] | None
     score: NDArray[np.float32] | None
     reason: NDArray[np.uint8] | None
+    """(N,) each; all but the labels are None where nobody asked for them."""
     counts: dict[str, int]
+    """Points of each label."""
     clusters: tuple[ClusterSummary, ...]
     decision: Decision
     views: Callable[[], Views] | None = None
+    """Gives what the report shows; None where none is wanted."""
     tiles: TileWork | None = None
+    """What they took; None where no report is wanted, or the map is one tile."""
     time: str | None = None
+    """What told when points were seen, "none" where nothing did; None where nobody asked."""
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
@@ -86,24 +71,16 @@ def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class MapPart:
-    """What goes into outputs of its own: the points of a file of the map, or of all its files.
-
-    Attributes
-    ----------
-    name : str
-        What to call it in messages.
-    reader : MapReader
-        Whose writers write the points.
-    rows : slice
-        Of the map.
-    batches : callable
-        Gives the points, so many at a time, counted from the first of them.
-    """
+    """What goes into outputs of its own: the points of a file of the map, or of all its files."""
 
     name: str
+    """What to call it in messages."""
     reader: MapReader
+    """Whose writers write the points."""
     rows: slice
+    """Of the map."""
     batches: Callable[[int], Iterator[PointBatch]]
+    """Gives the points, so many at a time, counted from the first of them."""
 
     @property
     def count(self) -> int:

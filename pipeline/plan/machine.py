@@ -85,21 +85,14 @@ def available_memory(root: Path = Path("/")) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Mount:
-    """A tree of groups, as the process sees it.
-
-    Attributes
-    ----------
-    folder : Path
-        Where it is seen.
-    root : str
-        The group that is seen there.
-    is_second : bool
-        Whether it is of the second version, which limits everything, or of the first for memory.
-    """
+    """A tree of groups, as the process sees it."""
 
     folder: Path
+    """Where it is seen."""
     root: str
+    """The group that is seen there."""
     is_second: bool
+    """Whether it is of the second version, which limits everything, or of the first for memory."""
 
 
 def memory_left(root: Path = Path("/")) -> int | None:

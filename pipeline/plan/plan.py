@@ -68,40 +68,26 @@ _HALO_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a map is cut, and what that takes.
-
-    Attributes
-    ----------
-    point_count : int
-        Points of the map.
-    layout : Layout
-    max_points : int
-        That the core of a tile may have.
-    halo : float
-        Metres.
-    held : (T,) int64 array
-        Points in core and halo of each tile, to the nearest lattice column.
-    workers : int
-    worker_memory : int
-        Bytes that a worker takes at most, projected.
-    disk : int
-        Bytes of temporary files at most, projected; the outputs not counted.
-    output_size : int
-        Bytes of the outputs, about.
-    seconds : float
-        Time of the run, projected roughly.
-    """
+    """How a map is cut, and what that takes."""
 
     point_count: int
+    """Points of the map."""
     layout: Layout
     max_points: int
+    """That the core of a tile may have."""
     halo: float
+    """Metres."""
     held: NDArray[np.int64]
+    """(T,): points in core and halo of each tile, to the nearest lattice column."""
     workers: int
     worker_memory: int
+    """Bytes that a worker takes at most, projected."""
     disk: int
+    """Bytes of temporary files at most, projected; the outputs not counted."""
     output_size: int
+    """Bytes of the outputs, about."""
     seconds: float
+    """Time of the run, projected roughly."""
 
     def figures(self) -> dict[str, Any]:
         """Return what `plan --json` prints: points, metres, bytes and seconds."""

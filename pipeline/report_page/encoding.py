@@ -31,18 +31,12 @@ _OUTLIERS = 0.001
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """What the page's scripts read.
-
-    Attributes
-    ----------
-    arrays : dict of str to str
-        Base64 of little-endian numbers, by name.
-    facts : dict
-        How to read them.
-    """
+    """What the page's scripts read."""
 
     arrays: dict[str, str]
+    """Base64 of little-endian numbers, by name."""
     facts: dict[str, Any]
+    """How to read them."""
 
 
 def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:

@@ -48,18 +48,10 @@ _MOST_FILES = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """What of a page takes time: measured before the rest, which tells how long it took.
-
-    Attributes
-    ----------
-    sample : MapSample
-        What the views show.
-    percentages : Percentages
-    encoded : EncodedSample
-    densities : list of DensityChart
-    """
+    """What of a page takes time: measured before the rest, which tells how long it took."""
 
     sample: MapSample
+    """What the views show."""
     percentages: Percentages
     encoded: EncodedSample
     densities: list[DensityChart]

@@ -30,34 +30,24 @@ _CUT_STEP = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Percentages:
-    """What each percentage takes.
-
-    Attributes
-    ----------
-    own : float
-        The run's `removal.max_percent`, or what its `removal.confidence` lacks of certainty.
-    removed_from : (n,) float64 array
-        For each sampled point the percentage from which on it goes; `NEVER` is possible.
-        What the run removed is at or below `own`, and the rest above it.
-    step : float
-        Percent between two entries of `removed_points`.
-    removed_points : (T,) int64 array
-        Points of the whole map that go at 0, 0.1 ... 100 %: R_i of N_i by Eq. 1, as far as points
-        of finite density last, whose share of a cluster is that in the sample. By evidence, at 0,
-        1 ... 100 %, exactly.
-    cuts : dict of int to (101,) float64 array
-        For each cluster the density of the densest point that goes at 0, 1 ... 100 %, from the
-        sample; NaN where none goes.
-    margin : float
-        Percent of its points by which the cut of a cluster in the sample may be off (95 %).
-    """
+    """What each percentage takes."""
 
     own: float
+    """The run's `removal.max_percent`, or what its `removal.confidence` lacks of certainty."""
     removed_from: NDArray[np.float64]
+    """(n,): for each sampled point the percentage from which on it goes; `NEVER` is possible. What
+    the run removed is at or below `own`, and the rest above it."""
     step: float
+    """Percent between two entries of `removed_points`."""
     removed_points: NDArray[np.int64]
+    """(T,): points of the whole map that go at 0, 0.1 ... 100 %: R_i of N_i by Eq. 1, as far as
+    points of finite density last, whose share of a cluster is that in the sample. By evidence, at
+    0, 1 ... 100 %, exactly."""
     cuts: dict[int, NDArray[np.float64]]
+    """(101,): for each cluster the density of the densest point that goes at 0, 1 ... 100 %, from
+    the sample; NaN where none goes."""
     margin: float
+    """Percent of its points by which the cut of a cluster in the sample may be off (95 %)."""
 
 
 def removal_percentages(

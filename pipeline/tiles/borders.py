@@ -29,15 +29,11 @@ _FARTHEST_GATHERED = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Where all ground-free points are known: low <= x, y < high, infinite where the map ends.
-
-    Attributes
-    ----------
-    low, high : (2,) float64 arrays
-    """
+    """Where all ground-free points are known: low <= x, y < high, infinite where the map ends."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(2,)"""
 
     def suffices(
         self, xyz: NDArray[np.float64], squared_reach: NDArray[np.float64]
@@ -85,23 +81,16 @@ class OtherTiles(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CoreDensities:
-    """Cluster and density of a tile's ground-free core points.
-
-    Attributes
-    ----------
-    cluster : (n,) int32 array
-    density : (n,) float64 array
-        NaN where the whole cluster has fewer than four points.
-    spread : (n, SPREAD_COLUMNS) or (n, 0) float32 array
-        How the neighbours are spread, where the decision asks.
-    finished_elsewhere : int
-        Points that needed further tiles.
-    """
+    """Cluster and density of a tile's ground-free core points."""
 
     cluster: NDArray[np.int32]
+    """(n,)"""
     density: NDArray[np.float64]
+    """(n,): NaN where the whole cluster has fewer than four points."""
     spread: NDArray[np.float32]
+    """(n, SPREAD_COLUMNS) or (n, 0): how the neighbours are spread, where the decision asks."""
     finished_elsewhere: int
+    """Points that needed further tiles."""
 
 
 def core_densities(

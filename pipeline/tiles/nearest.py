@@ -14,16 +14,12 @@ _MOST_CELLS = 1_000
 
 @dataclass(frozen=True, slots=True)
 class FreePoints:
-    """Ground-free points.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-    rows : (n,) int64 array
-    """
+    """Ground-free points."""
 
     xyz: NDArray[np.float64]
+    """(n, 3)"""
     rows: NDArray[np.int64]
+    """(n,)"""
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -63,18 +63,12 @@ class ScoredTile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """Where a cluster is cut: below it all points are dynamic.
-
-    Attributes
-    ----------
-    density : float or None
-        Points of a lower density go; None: no point goes.
-    last_row : int
-        Of the points of just this density those go whose row number is not above this; -1: none.
-    """
+    """Where a cluster is cut: below it all points are dynamic."""
 
     density: float | None
+    """Points of a lower density go; None: no point goes."""
     last_row: int = -1
+    """Of the points of just this density those go whose row number is not above this; -1: none."""
 
     def dynamic(self, density: NDArray[np.float64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which points of the cluster are dynamic."""

@@ -115,13 +115,6 @@ class MapReader(ABC):
 
     Making one reads and checks the header only; it holds no file open.
 
-    Attributes
-    ----------
-    description : MapDescription
-    threads : int
-        Cores that reading, and writing by `writer`, may use at once where the format can (LAZ).
-        What is read and written does not depend on it.
-
     Raises
     ------
     MapFormatError
@@ -130,6 +123,8 @@ class MapReader(ABC):
 
     description: MapDescription
     threads: int = 1
+    """Cores that reading, and writing by `writer`, may use at once where the format can (LAZ). What
+    is read and written does not depend on it."""
 
     @property
     @abstractmethod

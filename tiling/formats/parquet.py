@@ -47,32 +47,22 @@ class TableBatch(PointBatch):
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the rows of a file lie in it.
-
-    Attributes
-    ----------
-    codecs : dict of str to str
-        Compression of each column, by its path, as pyarrow names it.
-    group_rows : int
-        Rows of the largest row group; 0 where there are none.
-    bytes_per_row : int
-        Bytes that a row takes in memory, on average; values that are stored once and referred to
-        count once.
-    has_int96 : bool
-        Whether there are time stamps in the form of 96 bits that Spark and Impala used to write.
-    has_arrow_schema : bool
-        Whether Arrow's own schema is kept beside that of Parquet.
-    has_compliant_lists : bool
-        Whether what is in a list is called `element`, as the format demands and as older
-        writers, which said `item`, did not.
-    """
+    """How the rows of a file lie in it."""
 
     codecs: dict[str, str]
+    """Compression of each column, by its path, as pyarrow names it."""
     group_rows: int
+    """Rows of the largest row group; 0 where there are none."""
     bytes_per_row: int
+    """Bytes that a row takes in memory, on average; values that are stored once and referred to
+    count once."""
     has_int96: bool
+    """Whether there are time stamps in the form of 96 bits that Spark and Impala used to write."""
     has_arrow_schema: bool
+    """Whether Arrow's own schema is kept beside that of Parquet."""
     has_compliant_lists: bool
+    """Whether what is in a list is called `element`, as the format demands and as older writers,
+    which said `item`, did not."""
 
     @classmethod
     def of(cls, file: pq.ParquetFile, path: Path) -> "_Layout":

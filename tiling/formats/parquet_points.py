@@ -30,17 +30,11 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PointColumns:
-    """The columns of the coordinates, and how they are taken out of a table.
-
-    Attributes
-    ----------
-    names : tuple of str
-    take : callable
-        Returns the (n, 3) float64 coordinates of a table; what is null is NaN.
-    """
+    """The columns of the coordinates, and how they are taken out of a table."""
 
     names: tuple[str, ...]
     take: Callable[[pa.Table], Points]
+    """Returns the (n, 3) float64 coordinates of a table; what is null is NaN."""
 
 
 def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumns | None:

@@ -26,17 +26,12 @@ class PartSummary:
     """Which points of an output a part holds, and what the end of the writing must know of them.
 
     Small, and made to be sent from one process to another.
-
-    Attributes
-    ----------
-    first : int
-        Row number, in the output, of its first point.
-    count : int
-        Points in it.
     """
 
     first: int
+    """Row number, in the output, of its first point."""
     count: int = 0
+    """Points in it."""
 
     def add(self, records: Any) -> None:
         """Take at least one more point into account."""

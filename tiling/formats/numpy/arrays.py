@@ -33,26 +33,17 @@ _COORDINATE_KINDS = "iuf"
 
 @dataclass(frozen=True, slots=True)
 class ArrayHeader:
-    """What stands before the values of an array.
-
-    Attributes
-    ----------
-    dtype : numpy dtype
-    fortran_order : bool
-        Whether the first index runs fastest.
-    shape : tuple of int
-        The first is the number of rows.
-    version : int
-        1, 2 or 3.
-    size : int
-        Bytes of the header itself.
-    """
+    """What stands before the values of an array."""
 
     dtype: np.dtype
     fortran_order: bool
+    """Whether the first index runs fastest."""
     shape: tuple[int, ...]
+    """The first is the number of rows."""
     version: int = 1
+    """1, 2 or 3."""
     size: int = 0
+    """Bytes of the header itself."""
 
     @property
     def row_count(self) -> int:

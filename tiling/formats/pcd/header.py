@@ -70,30 +70,20 @@ class PcdField:
 
 @dataclass(frozen=True, slots=True)
 class PcdHeader:
-    """What the header says.
-
-    Attributes
-    ----------
-    lines : tuple of bytes
-        The header as it stands in the file, each line with its ending.
-    fields : tuple of PcdField
-    coordinates : tuple of three PcdField
-        x, y and z.
-    width, height : int
-        Points in a row, and rows; a height above 1 makes the cloud an organised one.
-    encoding : str
-        `"ascii"`, `"binary"` or `"binary_compressed"`.
-    viewpoint : tuple of 7 float or None
-        Where the sensor was, and its quaternion, w first.
-    """
+    """What the header says."""
 
     lines: tuple[bytes, ...]
+    """The header as it stands in the file, each line with its ending."""
     fields: tuple[PcdField, ...]
     coordinates: tuple[PcdField, PcdField, PcdField]
+    """x, y and z."""
     width: int
     height: int
+    """Points in a row, and rows; a height above 1 makes the cloud an organised one."""
     encoding: str
+    """`"ascii"`, `"binary"` or `"binary_compressed"`."""
     viewpoint: tuple[float, ...] | None = None
+    """Where the sensor was, and its quaternion, w first."""
 
     @property
     def point_count(self) -> int:

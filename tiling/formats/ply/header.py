@@ -87,31 +87,21 @@ class PlyElement:
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    r"""All that stands before the first record.
-
-    Attributes
-    ----------
-    encoding : str
-        `"ascii"`, `"binary_little_endian"` or `"binary_big_endian"`.
-    line_end : bytes
-        What ends a line: `b"\n"`, or `b"\r"` in files from old Macs. (A `b"\r"` before a
-        `b"\n"` is kept as part of the line.)
-    lines : tuple of bytes
-        The lines without their ends, up to and including `end_header`.
-    owners : tuple of (str or None)
-        For each line, the element it declares or belongs to; None for format and remarks.
-    elements : tuple of PlyElement
-        In the order of the file.
-    size : int
-        Bytes of the header.
-    """
+    """All that stands before the first record."""
 
     encoding: str
+    """`"ascii"`, `"binary_little_endian"` or `"binary_big_endian"`."""
     line_end: bytes
+    r"""What ends a line: `b"\n"`, or `b"\r"` in files from old Macs. (A `b"\r"` before a `b"\n"` is
+    kept as part of the line.)"""
     lines: tuple[bytes, ...]
+    """The lines without their ends, up to and including `end_header`."""
     owners: tuple[str | None, ...]
+    """For each line, the element it declares or belongs to; None for format and remarks."""
     elements: tuple[PlyElement, ...]
+    """In the order of the file."""
     size: int
+    """Bytes of the header."""
 
     @property
     def byte_order(self) -> str:
