@@ -32,17 +32,13 @@ class Clusters:
     """(count, 3): in the coordinates of the map; no rows where there was nothing to cluster."""
 
     def nearest(self, points: NDArray[np.float64], *, threads: int = 1) -> NDArray[np.int32]:
-        """Return the index of each point's nearest centroid, the lower one of two equally near.
+        """Return the index of each point's nearest centroid, (n,), the lower of two equally near.
 
         Parameters
         ----------
         points : (n, 3) float64 array
         threads : int
             They change nothing about the result.
-
-        Returns
-        -------
-        (n,) int32 array
         """
         nearest = np.zeros(len(points), np.int32)
         over_ranges(
@@ -143,7 +139,6 @@ def _assign(
 
 
 def _ranked_below(limit: int, rows: NDArray[np.int64], seed: int) -> NDArray[np.intp]:
-    """Find the rows whose rank is below the limit."""
     bound = np.uint64(limit)
     chosen = [
         start + np.flatnonzero(_random_rank(rows[start : start + _RANKING_BATCH], seed) < bound)

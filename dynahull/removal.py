@@ -53,10 +53,6 @@ def remove_least_dense(
         R_i of Eq. 1.
     threshold : {"rank", "stepped"}
         How the threshold is found.
-
-    Returns
-    -------
-    Removal
     """
     if threshold == "rank":
         return _by_rank(density, rows, percentage)

@@ -15,7 +15,7 @@ from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.tiles.cleaning import clean_tiles, find_times
-from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
+from pipeline.tiles.labelling import SCORES, gather_decision, gather_sample, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
 from pipeline.work.files import open_rows
@@ -49,12 +49,10 @@ def clean_in_tiles(
             views = partial(_views, job, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
-        cluster, density, score, reason = None, None, None, None
-        if output.needs_scores:
-            cluster = open_rows(job.rows_path("cluster"), np.int32)
-            density = open_rows(job.rows_path("density"), np.float64)
-            score = open_rows(job.rows_path("score"), np.float32)
-            reason = open_rows(job.rows_path("reason"), np.uint8)
+        cluster, density, score, reason = [
+            open_rows(job.rows_path(name), kind) if output.needs_scores else None
+            for name, (kind, _) in SCORES.items()
+        ]
         places = make_places(names, staging)
         in_parts = [] if output.merge else _write_in_parts(job, executor, observer, places)
         decoded, read = job.decoded, None
@@ -78,7 +76,6 @@ def clean_in_tiles(
 
 
 def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
-    """Return what the report shows."""
     return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
 
 

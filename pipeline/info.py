@@ -125,10 +125,6 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
     poses : str, optional
         File of the poses of its scans, in the place of what lies beside them.
 
-    Returns
-    -------
-    MapInfo
-
     Raises
     ------
     TilingError

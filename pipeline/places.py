@@ -239,16 +239,9 @@ class DecisionSums:
         return dict(zip(ARRAY_NAMES, arrays, strict=True))
 
     @classmethod
-    def from_arrays(
-        cls,
-        cells: NDArray[np.int32],
-        sums: Integers,
-        whole: Integers,
-        counts: Integers,
-        scores: Integers,
-    ) -> Self:
+    def from_arrays(cls, cells: NDArray[np.int32], sums: Integers, *others: Integers) -> Self:
         """Return what `to_arrays` gave away, in the order of `ARRAY_NAMES`."""
-        return cls(Voxels(cells, sums), whole, counts, scores)
+        return cls(Voxels(cells, sums), *others)
 
     def _with_whole(self, core: Floats) -> Self:
         """Put places together of which no voxel, nor one beside it, lies on the core's edge."""
@@ -285,7 +278,6 @@ def _groups(voxels: Voxels, groups: NDArray[np.intp]) -> Integers:
 
 
 def _largest(rows: Integers) -> Integers:
-    """Return the places to list."""
     return np.asarray(rows[_by_size(rows)])
 
 

@@ -172,7 +172,6 @@ class _Output:
         return self._held[row - self._first]
 
     def forget(self, row: int) -> None:
-        """Drop what is before a row."""
         del self._held[: row - self._first]
         self._first = row
 
@@ -238,7 +237,6 @@ class _Rows:
         return True
 
     def take(self, count: int) -> Columns:
-        """Return the next rows."""
         while not self._held or len(self._held[LABEL]) < count:
             if not self._grow():
                 raise VerificationError("expected a label for each point, found fewer")
@@ -248,7 +246,6 @@ class _Rows:
 
 
 def _table(path: Path, configuration: Configuration) -> Iterator[Columns]:
-    """Yield columns of `labels.parquet`."""
     names = [LABEL, "cluster", DENSITY, *([SCORE] if configuration.removal.weighs_evidence else [])]
     return row_columns(path, names, _BATCH)
 
@@ -327,7 +324,6 @@ class _ClusterSums:
         self._densest = np.full(clusters, -np.inf)
 
     def add(self, columns: Columns) -> None:
-        """Count some points."""
         for number, rows, density, dynamic in self._clusters(columns):
             self.spared[number] += np.count_nonzero(columns[_SAFE][rows])
             finite = np.isfinite(density)

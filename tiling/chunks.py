@@ -245,7 +245,6 @@ def _write_las(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
 
 
 def _read_las(path: Path) -> Chunk:
-    """Read a chunk."""
     laspy: Any = import_module("laspy")
     with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
         points = file.read()
@@ -270,10 +269,6 @@ def grid_of(collection: MapCollection, survey: Survey) -> Grid:
         The map.
     survey : Survey
         Of the whole map.
-
-    Returns
-    -------
-    Grid
 
     Raises
     ------

@@ -293,7 +293,7 @@ _SPREADS = (
 
 
 def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the order of columns along the Z curve (Morton 1966): near in order is near in place.
+    """Return the order of columns along the Z curve (Morton 1966), (n,): near in it is near.
 
     The order is that of the bits of x and y taken in turn, from the highest, those of x first. So
     every node of a quadtree over the lattice is one run of it.
@@ -302,10 +302,6 @@ def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
     ----------
     columns : (n, 2) int64 array
         From 0 to 2^62.
-
-    Returns
-    -------
-    (n,) array of indices
     """
     low = _interleaved(columns & (1 << _HALF) - 1)
     if columns.max(initial=0) >> _HALF == 0:

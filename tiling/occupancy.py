@@ -66,17 +66,13 @@ def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
 def count_within(
     occupancy: Occupancy, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Count the points in boxes, a column counting whole where its middle is inside.
+    """Count the points in boxes, (n,), a column counting whole where its middle is inside.
 
     Parameters
     ----------
     occupancy : Occupancy
     low, high : (n, 2) float64 arrays
         The boxes: low <= x, y < high, metres; may be infinite.
-
-    Returns
-    -------
-    (n,) int64 array
     """
     totals = np.append(0, np.cumsum(occupancy.counts))
     begins, ends = (_first_columns(edge, occupancy.cell) for edge in (low, high))

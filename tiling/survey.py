@@ -78,10 +78,6 @@ def survey(collection: MapCollection, rows: range | None = None) -> Survey:
     rows : range, optional
         Consecutive row numbers; otherwise all.
 
-    Returns
-    -------
-    Survey
-
     Raises
     ------
     RowRangeError

@@ -24,7 +24,7 @@ _FOOT_HEIGHT = 0.3
 def decide(
     points: Floats, columns: Columns, surface: Surface, p: SlopeParameters, threads: int = 1
 ) -> Booleans:
-    """Tell which points are ground.
+    """Tell which points are ground, (N,).
 
     Parameters
     ----------
@@ -38,10 +38,6 @@ def decide(
         The tolerances, `steepest`, `cell` and `foot` are used.
     threads : int
         They change nothing about the result.
-
-    Returns
-    -------
-    (N,) bool array
     """
     ground = np.zeros(len(points), np.bool_)
     tolerances = np.array(

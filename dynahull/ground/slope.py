@@ -103,7 +103,6 @@ def summarise(columns: Columns, p: SlopeParameters, threads: int = 1) -> GroundS
 
 
 def _surface(around: GroundSummary, cells: Integers, p: SlopeParameters, threads: int) -> Surface:
-    """Return the surface of the ground over some cells."""
     clearance = np.inf if p.clearance is None else p.clearance
     storey = _STOREY_TO_CLEARANCE * clearance
     reach = max(p.window, p.expert.storey_radius, p.expert.extension, FLAT_RADIUS * p.expert.cell)

@@ -152,10 +152,6 @@ def compare_geometry(
     folder : Path
         For the distances, in one direction at a time.
     observer : Observer
-
-    Returns
-    -------
-    Geometry
     """
     distances = _all_distances(cleaned, truth, folder, observer, "to the truth")
     statistics, too_much = DistanceStatistics.of(distances), DirectedChamfer.of(distances)

@@ -60,10 +60,6 @@ def evaluate(
     picture : Path, optional
         Where to draw the decisions, if there is an original map.
 
-    Returns
-    -------
-    Figures
-
     Raises
     ------
     DiskSpaceError
@@ -102,7 +98,6 @@ def _compare(
     observer: Observer,
     picture: Path | None,
 ) -> Figures:
-    """Compare maps that are cut."""
     cleaned, truth, original = clouds["cleaned"], clouds.get("truth"), clouds.get("original")
     if original is None:
         assert truth is not None

@@ -70,10 +70,6 @@ def find_inputs(
         By default the one that the run was given, or the labelled map.
     options : EvaluationOptions
 
-    Returns
-    -------
-    EvaluationInputs
-
     Raises
     ------
     ConfigurationError, EvaluationError, TilingError
@@ -179,5 +175,4 @@ def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:
 
 
 def _opened(paths: Sequence[Path]) -> MapCollection:
-    """Open a map, whose points come in metres."""
     return open_collection(paths, InputParameters())

@@ -200,10 +200,6 @@ def evaluate_files(
     json_file, picture : Path, optional
         Where to write all figures, and the map from above.
 
-    Returns
-    -------
-    EvaluationReport
-
     Raises
     ------
     PipelineError, TilingError

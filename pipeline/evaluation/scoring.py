@@ -115,10 +115,6 @@ def score(
     folder : Path
         For means of voxels.
     observer : Observer
-
-    Returns
-    -------
-    Scores
     """
     tolerance, match_distance = options.cleaned_tolerance, options.match_distance
     decisions, matches = Tally(), Tally()

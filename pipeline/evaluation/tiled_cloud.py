@@ -199,10 +199,6 @@ def cut_clouds(
         For their files.
     observer : Observer
 
-    Returns
-    -------
-    dict of str to TiledCloud
-
     Raises
     ------
     EvaluationError

@@ -131,7 +131,6 @@ class _Night:
         self.waited = 0.0
 
     def forget_failures(self) -> None:
-        """Let everything that failed be tried again."""
         for record in self.journal.maps.values():
             record.failure = None
         self.journal.save()
@@ -190,7 +189,6 @@ class _Night:
                 self.minutes.say(Path(path), MapOutcome.VANISHED, self.folder_of(Path(path)))
 
     def ready(self, candidates: Iterable[Candidate]) -> list[Candidate]:
-        """Return what is to be cleaned now, in turn."""
         waiting = [
             each
             for each in candidates
@@ -251,7 +249,6 @@ class _Night:
         return self.run(candidate)
 
     def stop_hashing(self, _: int) -> None:
-        """End the hashing of a map with the night."""
         if self.end.is_over():
             raise _NightOverError
 
@@ -382,7 +379,6 @@ class _Night:
         return summary
 
     def folder_of(self, path: Path) -> MapFolder:
-        """Return where the results of a map lie."""
         return MapFolder(self.settings.output / map_name(path))
 
 

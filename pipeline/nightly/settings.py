@@ -127,10 +127,6 @@ def load_nightly_settings(source: Path, settings: Sequence[str] = ()) -> Nightly
     settings : sequence of str
         `key=value`, as given to `--set`.
 
-    Returns
-    -------
-    NightlySettings
-
     Raises
     ------
     ConfigurationError

@@ -78,7 +78,6 @@ def _take_lock(folder: Path) -> int | None:
 
 
 def _give_lock(folder: Path, handle: int) -> None:
-    """Give a lock back."""
     if not stat.S_ISDIR(os.fstat(handle).st_mode):
         (folder / LOCK_FILE).unlink(missing_ok=True)
     os.close(handle)

@@ -74,32 +74,19 @@ class MapSample:
     def of_parts(cls, total: int, parts: Sequence["MapSample"]) -> Self:
         """Put the samples of all parts of a map together."""
         parts = [cls.empty(total), *parts]
-        rows = np.concatenate([part.rows for part in parts])
-        labels = np.concatenate([part.labels for part in parts])
-        order = np.argsort(rows)
-        order = order[labels[order] != Label.INVALID]
-        return cls(
-            total,
-            rows[order],
-            np.concatenate([part.xyz for part in parts])[order],
-            labels[order],
-            np.concatenate([part.cluster for part in parts])[order],
-            np.concatenate([part.density for part in parts])[order],
-            np.concatenate([part.score for part in parts])[order],
-        )
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
+        }
+        order = np.argsort(columns["rows"])
+        order = order[columns["labels"][order] != Label.INVALID]
+        return cls(total, **{name: column[order] for name, column in columns.items()})
 
     @classmethod
     def empty(cls, total: int) -> Self:
         """Return the sample of no points."""
-        return cls(
-            total,
-            np.empty(0, np.int64),
-            np.empty((0, 3)),
-            np.empty(0, np.uint8),
-            np.empty(0, np.int32),
-            np.empty(0),
-            np.empty(0, np.float32),
-        )
+        kinds = (np.uint8, np.int32, np.float64, np.float32)
+        others: list[Any] = [np.empty(0, kind) for kind in kinds]
+        return cls(total, np.empty(0, np.int64), np.empty((0, 3)), *others)
 
     def seen(self, scan: NDArray[np.int32] | None, views: Views | None, threads: int = 1) -> Self:
         """Add the scan of each point, and what all scans saw of its voxel."""

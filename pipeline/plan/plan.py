@@ -207,12 +207,7 @@ def neighbour_reach(occupancy: Occupancy, k: int) -> float:
 
 
 def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np.int64]:
-    """Count the points in core and halo of each tile, about; those of a column lie evenly in it.
-
-    Returns
-    -------
-    (T,) int64 array
-    """
+    """Count the points of each tile, (T,), about: core and halo; a column's lie evenly in it."""
     columns, share = divmod(halo, occupancy.cell)
     inner, outer = (
         count_within(occupancy, layout.low - margin, layout.high + margin)

@@ -198,10 +198,6 @@ class RowResults:
 
     One process writes them. The rows of a tile lie all over a file: workers of several machines
     would write to the same page, and on NFS the last of them would undo what the others wrote.
-
-    Parameters
-    ----------
-    job : Job
     """
 
     def __init__(self, job: Job) -> None:

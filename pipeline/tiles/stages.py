@@ -206,19 +206,16 @@ class _State:
         self.write()
 
     def count(self, report: TaskReport) -> None:
-        """Count a task that is done."""
         self._values["done_tasks"] += 1
         self._values["done_points"] += report.points
         if time.time() - self._written >= _STATE_EVERY:
             self.write()
 
     def fail(self, number: int, reason: str) -> None:
-        """Count a task that failed."""
         self._values["failed"][number] = reason
         self.write()
 
     def write(self) -> None:
-        """Tell other terminals."""
         now = self._written = time.time()
         elapsed = max(now - self._begun, 1e-3)
         rate = (self._values["done_points"] - self._earlier) / elapsed

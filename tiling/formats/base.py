@@ -47,9 +47,7 @@ class MapWriter(ABC):
         """Append points, as the reader's batches hold them."""
         self.written += len(records)
         if self.written > self.point_count:
-            raise PointCountError(
-                f"{self.path}: opened for {self.point_count} points, given {self.written}"
-            )
+            raise self._wrong_count()
         if len(records):
             self._append(records)
 
@@ -67,10 +65,13 @@ class MapWriter(ABC):
             return
         if self.written != self.point_count:
             self._abandon()
-            raise PointCountError(
-                f"{self.path}: opened for {self.point_count} points, given {self.written}"
-            )
+            raise self._wrong_count()
         self._finish()
+
+    def _wrong_count(self) -> PointCountError:
+        return PointCountError(
+            f"{self.path}: opened for {self.point_count} points, given {self.written}"
+        )
 
     @abstractmethod
     def _append(self, records: Any) -> None:
@@ -86,12 +87,7 @@ class MapWriter(ABC):
 
 
 class SinglePartWriter(MapWriter):
-    """Writes a map in one part.
-
-    Parameters
-    ----------
-    parts : PartWriter
-    """
+    """Writes a map in one part."""
 
     def __init__(self, parts: PartWriter) -> None:
         super().__init__(parts.path, parts.point_count)

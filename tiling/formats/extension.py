@@ -88,12 +88,7 @@ class ExtendedText(ExtendedFormat):
 def packed(
     fields: Sequence[Field], values: Sequence[NDArray[Any]], byte_order: str = "<"
 ) -> NDArray[Any]:
-    """Pack values of some fields into records of their own.
-
-    Returns
-    -------
-    (n,) structured array
-    """
+    """Pack values of some fields into records of their own, (n,)."""
     dtype = np.dtype([(field.name, byte_order + np.dtype(field.dtype).str[1:]) for field in fields])
     records = np.empty(len(values[0]), dtype=dtype)
     for field, column in zip(fields, values, strict=True):
@@ -102,16 +97,12 @@ def packed(
 
 
 def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
-    """Put the bytes of each of some records before those of the record beside it.
+    """Put the bytes of each of some records before those of the record beside it, (n,).
 
     Parameters
     ----------
     head, tail : (n,) arrays
         Of any fixed-size types.
-
-    Returns
-    -------
-    (n,) void array
     """
     rows = np.empty((len(head), head.dtype.itemsize + tail.dtype.itemsize), dtype=np.uint8)
     rows[:, : head.dtype.itemsize] = bytes_of(head)

@@ -116,11 +116,6 @@ class ParquetReader(MapReader):
     of each column and the size of the row groups are those of the output too. A null coordinate
     counts as NaN and stays null.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError
@@ -255,7 +250,6 @@ class _ExtendedTable(ExtendedFormat):
         values: Sequence[NDArray[Any]],
         classification: NDArray[np.uint8] | None = None,
     ) -> pa.Table:
-        """Return the rows with the values; see `ExtendedFormat.extend`."""
         del classification
         table = batch.records
         for field, column in zip(self.fields, values, strict=True):
@@ -304,7 +298,6 @@ class _ParquetWriter(MapWriter):
             self._writer.close()
 
     def _write_groups(self, rows: int) -> None:
-        """Write that many of the rows gathered."""
         if not rows:
             return
         table = pa.concat_tables(self._gathered).unify_dictionaries()

@@ -89,10 +89,6 @@ class TextReader(MapReader):
 
     Making one counts the rows, for which the whole file is read once.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     MapFormatError

@@ -134,10 +134,6 @@ def read_header(path: Path) -> LasHeader:
     path : Path
         The file.
 
-    Returns
-    -------
-    LasHeader
-
     Raises
     ------
     MapFormatError

@@ -166,7 +166,6 @@ class _Stream:
             self._refuse(error)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Decompress the next points into (n, record_length)."""
         try:
             self._decompressor.decompress_many(records.reshape(-1))
         except BaseException as error:
@@ -214,7 +213,6 @@ class _Decompressed:
             _refuse_points(header, chunks[0].first_row, error)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Copy the next points into (n, record_length)."""
         records[:] = self._points[: len(records)]
         self._points = self._points[len(records) :]
 

@@ -131,7 +131,6 @@ class _ParallelChunks(_Chunks):
         self._count = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:
-        """Append (n, record_length) points."""
         done = 0
         while done < len(records):
             count = min(len(self._gathered) - self._count, len(records) - done)
@@ -142,7 +141,6 @@ class _ParallelChunks(_Chunks):
                 self._write_gathered()
 
     def finish(self) -> None:
-        """Write what belongs to the points: the last chunk, and the chunk table."""
         if self._count:
             self._write_gathered()
         super().finish()
@@ -165,7 +163,6 @@ class _ChannelChunks(_Chunks):
         self._channel = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:
-        """Append (n, record_length) points."""
         channels = (records[:, 15] >> 4) & 3
         starts = [0, *(np.flatnonzero(np.diff(channels)) + 1).tolist()]
         for start, end in zip(starts, [*starts[1:], len(records)], strict=True):

@@ -47,11 +47,6 @@ from tiling.grid import Grid, integers_in_records
 class LasReader(MapReader):
     """Reads a LAS, LAZ or COPC file; COPC points come in the file's order.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError
@@ -187,7 +182,6 @@ class _RawPoints:
         file.seek(header.points_offset + first_row * header.record_length)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Read the next points into (n, record_length)."""
         found = self._file.readinto(records.reshape(-1).data)  # type: ignore[attr-defined]
         if found != records.size:
             raise MapFormatError(

@@ -151,16 +151,12 @@ class ArrayHeader:
         return start + len(text).to_bytes(length_size, "little") + text
 
     def coordinates(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Take the coordinates out of rows as `RowReader` gives them.
+        """Take the coordinates out of rows as `RowReader` gives them, (n, 3).
 
         Parameters
         ----------
         rows : (n,) array of `row_bytes` wide void
             Rows of an array that `is_coordinates`.
-
-        Returns
-        -------
-        (n, 3) float64 array
         """
         xyz = np.empty((len(rows), 3))
         with np.errstate(all="ignore"):

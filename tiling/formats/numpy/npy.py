@@ -34,11 +34,6 @@ class NpyReader(MapReader):
     Type, byte order, the order of the elements, and further columns or fields are kept. Arrays of
     Python objects are refused: nothing is ever unpickled.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError
@@ -153,7 +148,6 @@ class _NpyParts(PartWriter):
         self._header = header
 
     def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
-        """Write rows to their places."""
         put_rows(file, self._header, self.point_count, first, records)
 
     def _write_surroundings(self, file: BinaryIO) -> None:
@@ -179,7 +173,6 @@ class _NoHeader(ArrayHeader):
     """An array that starts with its first value."""
 
     def encode(self, row_count: int) -> bytes:
-        """Return nothing."""
         del row_count
         return b""
 
@@ -188,10 +181,6 @@ class RawReader(NpyReader):
     """Reads bare records of float32, as KITTI and nuScenes store scans: the size tells the points.
 
     `.bin` has x, y, z and intensity (16 bytes), `.pcd.bin` the ring as well (20 bytes).
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------

@@ -55,11 +55,6 @@ class NpzReader(MapReader):
     other array of N rows belongs to the points and is filtered along; any other entry, and whatever
     holds Python objects, is copied as it is.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError
@@ -204,7 +199,6 @@ class _ExtendedArrays(ExtendedFormat):
         values: Sequence[NDArray[Any]],
         classification: NDArray[np.uint8] | None = None,
     ) -> NDArray[Any]:
-        """Return the records with the values; see `ExtendedFormat.extend`."""
         del classification
         head = batch.records.dtype
         tail = packed(self.fields, values)

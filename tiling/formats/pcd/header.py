@@ -124,12 +124,12 @@ class PcdHeader:
         )
         return replace(self, lines=lines, viewpoint=None)
 
-    def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PcdHeader":
+    def extended(self, further: Sequence[Field]) -> "PcdHeader":
         """Return the header of points with further fields of one value each."""
         fields, offset = list(self.fields), self.record_size
-        for name, dtype in zip(names, dtypes, strict=True):
-            size = np.dtype(dtype).itemsize
-            fields.append(PcdField(name, dtype, size, 1, offset))
+        for each in further:
+            size = np.dtype(each.dtype).itemsize
+            fields.append(PcdField(each.name, each.dtype, size, 1, offset))
             offset += size
         kinds = {dtype: kind for (kind, _), dtype in _TYPES.items()}
         # Old files lack some of these lines; with fields of other types they need them.
@@ -287,7 +287,6 @@ def _extent(entries: dict[str, _Entry], path: Path) -> tuple[int, int]:
 
 
 def _viewpoint(entries: dict[str, _Entry], path: Path) -> tuple[float, ...] | None:
-    """Return the seven numbers."""
     if "VIEWPOINT" not in entries:
         return None
     values = entries["VIEWPOINT"].values

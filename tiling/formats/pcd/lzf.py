@@ -67,39 +67,33 @@ def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Ite
     filled = kept = produced = 0
     packed = b""
     start, left = stream.tell(), packed_size
+
+    def wrong(expected: str, found: str) -> MapFormatError:
+        return MapFormatError(path, expected, found, f"byte {start}")
+
     while left or packed:
         block = stream.read(min(BLOCK, left))
         if left and not block:
-            raise MapFormatError(
-                path, f"{packed_size} compressed bytes", "the end of the file", f"byte {start}"
-            )
+            raise wrong(f"{packed_size} compressed bytes", "the end of the file")
         left -= len(block)
         packed += block
         used, filled, fault = _decode(np.frombuffer(packed, dtype=np.uint8), window, filled)
         start += used
         packed = packed[used:]
         if fault == _BEFORE_START:
-            raise MapFormatError(
-                path, "LZF data", "a copy of bytes before the first", f"byte {start}"
-            )
+            raise wrong("LZF data", "a copy of bytes before the first")
         produced += filled - kept
         if produced > size:
-            raise MapFormatError(
-                path, f"{size} bytes of LZF data", "more than these", f"byte {start}"
-            )
+            raise wrong(f"{size} bytes of LZF data", "more than these")
         if not left and not used and packed:
-            raise MapFormatError(
-                path, "LZF data", "an instruction that is cut short", f"byte {start}"
-            )
+            raise wrong("LZF data", "an instruction that is cut short")
         yield window[kept:filled]
         # What a copy may still reach moves to the front.
         kept = min(filled, REACH)
         window[:kept] = window[filled - kept : filled].copy()
         filled = kept
     if produced != size:
-        raise MapFormatError(
-            path, f"{size} bytes of LZF data", f"{produced} bytes", f"byte {start}"
-        )
+        raise wrong(f"{size} bytes of LZF data", f"{produced} bytes")
 
 
 def compress(block: Bytes) -> bytes:

@@ -50,10 +50,6 @@ _PCL_TYPES = {"label": "uint32"}
 class PcdReader(MapReader):
     """Reads a PCD file.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     MapFormatError
@@ -125,9 +121,7 @@ class PcdReader(MapReader):
         """Return what writes further fields; see `MapReader.extended`."""
         fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
         model = copy(self)
-        model._header = self._header.extended(
-            [field.name for field in fields], [field.dtype for field in fields]
-        )
+        model._header = self._header.extended(fields)
         model._stored = (*self._stored, *model._header.fields[-len(fields) :])
         if self._header.encoding == "ascii":
             return ExtendedText(model, fields)

@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from tiling.errors import MapFormatError
+from tiling.formats.points import Field
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 VERTEX = "vertex"
@@ -118,11 +119,11 @@ class PlyHeader:
         """The elements that cannot survive when vertices are removed."""
         return tuple(e for e in self.elements if e.name != VERTEX and e.count and e.names_vertices)
 
-    def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PlyHeader":
+    def extended(self, fields: Sequence[Field]) -> "PlyHeader":
         """Return the header of vertices with further properties of one number each."""
         further = tuple(
-            PlyProperty(name, np.dtype(self.byte_order + np.dtype(dtype).str[1:]))
-            for name, dtype in zip(names, dtypes, strict=True)
+            PlyProperty(each.name, np.dtype(self.byte_order + np.dtype(each.dtype).str[1:]))
+            for each in fields
         )
         types = {code: word for word, code in reversed(_TYPES.items())}
         last = max(number for number, owner in enumerate(self.owners) if owner == VERTEX)
@@ -218,7 +219,6 @@ class _HeaderParser:
         self.owners.append(owner)
 
     def elements(self) -> tuple[PlyElement, ...]:
-        """Return the elements declared so far."""
         return tuple(
             PlyElement(name, count, tuple(self._properties[name].values()))
             for name, count in self._counts.items()
