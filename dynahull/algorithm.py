@@ -192,10 +192,7 @@ def set_ground_aside(
 
 
 def _first_labels(
-    points: NDArray[np.float64],
-    left_out: NDArray[np.bool_] | None,
-    k: int,
-    observer: Observer,
+    points: NDArray[np.float64], left_out: NDArray[np.bool_] | None, k: int, observer: Observer
 ) -> NDArray[np.uint8]:
     """Label the points that decide nothing, each by its reason; all others are static so far."""
     seen = valid_points(points)

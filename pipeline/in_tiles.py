@@ -26,21 +26,14 @@ from tiling.formats.points import DEFAULT_BATCH
 
 
 def clean_in_tiles(
-    job: Job,
-    collection: MapCollection,
-    names: OutputNames,
-    staging: Path,
-    observer: StageObserver,
+    job: Job, collection: MapCollection, names: OutputNames, staging: Path, observer: StageObserver
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
     find_times(job, collection, observer)
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
         counts, clusters = clean_tiles(
-            job,
-            executor,
-            observer,
-            lambda plan: check_plan(plan, job.configuration, job.root),
+            job, executor, observer, lambda plan: check_plan(plan, job.configuration, job.root)
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
         decision = gather_decision(job)

@@ -32,9 +32,7 @@ def typical_place(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def coarse_step_notes(
-    collection: MapCollection,
-    place: NDArray[np.float64],
-    metres: NDArray[np.float64] | None = None,
+    collection: MapCollection, place: NDArray[np.float64], metres: NDArray[np.float64] | None = None
 ) -> list[str]:
     """Say in which steps coordinates are kept, where these are coarse.
 

@@ -149,14 +149,7 @@ def height_above(points: Floats, floors: Summary, p: SlopeParameters, threads: i
     heights = np.full(len(points), np.nan)
     over_ranges(
         lambda first, end: _height_above(
-            points,
-            numbers,
-            *surface,
-            p.expert.cell,
-            p.expert.tolerance_limit,
-            first,
-            end,
-            heights,
+            points, numbers, *surface, p.expert.cell, p.expert.tolerance_limit, first, end, heights
         ),
         range_bounds(len(points), threads, _SMALLEST_RANGE),
         threads,

@@ -155,12 +155,7 @@ class BatchSystem:
         """Return what a command prints; nothing where its complaint matches `gone`."""
         try:
             done = subprocess.run(
-                command,
-                stdin=stdin,
-                capture_output=True,
-                text=True,
-                timeout=_PATIENCE,
-                check=False,
+                command, stdin=stdin, capture_output=True, text=True, timeout=_PATIENCE, check=False
             )
         except FileNotFoundError:
             raise ClusterError(f"{self.name}: the command {command[0]} was not found") from None

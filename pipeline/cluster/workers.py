@@ -12,12 +12,7 @@ from typing import Any
 import dask
 from distributed import Client, Security
 
-from pipeline.cluster.batch_systems import (
-    BatchSystem,
-    JobDescription,
-    batch_system,
-    cluster_class,
-)
+from pipeline.cluster.batch_systems import BatchSystem, JobDescription, batch_system, cluster_class
 from pipeline.cluster.record import check_folder, cluster_folder, logs_folder, record_workers
 from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
 from pipeline.cluster.supervisor import Supervisor

@@ -41,8 +41,7 @@ class RunJobParameters(BaseModel):
 
     cores: int = Field(1, ge=1, description="Cores of the job.")
     memory: Bytes = Field(
-        4 << 30,
-        description="Memory of the job; a map of one tile is cleaned in it.",
+        4 << 30, description="Memory of the job; a map of one tile is cleaned in it."
     )
     walltime: Seconds = Field(
         24 * 3600,

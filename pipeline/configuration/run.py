@@ -126,8 +126,7 @@ class OutputParameters(BaseModel):
         "classes by `output.classes`.",
     )
     merge: bool = Field(
-        False,
-        description="Several files become one, in the map's frame; binary PCD, npy, KITTI's.",
+        False, description="Several files become one, in the map's frame; binary PCD, npy, KITTI's."
     )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."

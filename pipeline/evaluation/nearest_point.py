@@ -78,11 +78,7 @@ def _squared_gaps(low: _Floats, high: _Floats, box_low: _Floats, box_high: _Floa
 
 
 def look_up(
-    cloud: TiledCloud,
-    other: TiledCloud,
-    observer: Observer,
-    stage: str,
-    at_most: float = np.inf,
+    cloud: TiledCloud, other: TiledCloud, observer: Observer, stage: str, at_most: float = np.inf
 ) -> Iterator[tuple[int, Nearest]]:
     """Look up every point of a cloud in another, tile by tile.
 

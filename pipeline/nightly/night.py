@@ -12,12 +12,7 @@ from pathlib import Path
 
 from pipeline.errors import DiskSpaceError, NightLockedError
 from pipeline.nightly.clock import Clock, NightEnd
-from pipeline.nightly.inventory import (
-    Problem,
-    find_maps,
-    lacks_dates,
-    learn_content,
-)
+from pipeline.nightly.inventory import Problem, find_maps, lacks_dates, learn_content
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
 from pipeline.nightly.one_map import Cleaner, Ended, Request
 from pipeline.nightly.results import (
@@ -57,12 +52,7 @@ logger = logging.getLogger("dynahull")
 
 
 def clean_nightly(
-    settings: NightlySettings,
-    cleaner: Cleaner,
-    clock: Clock,
-    end: NightEnd,
-    *,
-    retry: bool = False,
+    settings: NightlySettings, cleaner: Cleaner, clock: Clock, end: NightEnd, *, retry: bool = False
 ) -> NightSummary:
     """Spend one night.
 

@@ -196,12 +196,7 @@ def report_page(run: Path) -> Path:
 
 
 def remove_old_runs(
-    folder: MapFolder,
-    keep: Retention,
-    now: float,
-    wanted: str | None,
-    *,
-    work_may_go_on: bool,
+    folder: MapFolder, keep: Retention, now: float, wanted: str | None, *, work_may_go_on: bool
 ) -> list[Path]:
     """Remove runs of a map that are neither among the last nor young.
 

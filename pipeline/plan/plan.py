@@ -286,9 +286,7 @@ def draw_plan(plan: Plan, survey: Survey, path: Path) -> None:
         figure.savefig(temporary, dpi=120, format="png")
 
 
-def _occupancy_image(
-    occupancy: Occupancy,
-) -> tuple[NDArray[np.float64], Sequence[float]]:
+def _occupancy_image(occupancy: Occupancy) -> tuple[NDArray[np.float64], Sequence[float]]:
     """Return logarithms of counts as a raster of at most some thousand pixels a side."""
     low, high = occupancy.columns.min(axis=0), occupancy.columns.max(axis=0) + 1
     step = max(1, int(np.ceil((high - low).max() / 1_000)))

@@ -113,10 +113,7 @@ def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     near, far = np.quantile(xyz, [_OUTLIERS, 1 - _OUTLIERS], axis=0)
     spread = far - near
     margin = np.maximum(spread, spread.max() / 10) / 2
-    return (
-        np.maximum(xyz.min(axis=0), near - margin),
-        np.minimum(xyz.max(axis=0), far + margin),
-    )
+    return (np.maximum(xyz.min(axis=0), near - margin), np.minimum(xyz.max(axis=0), far + margin))
 
 
 def icon(sample: MapSample) -> str:

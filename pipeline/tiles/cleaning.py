@@ -63,10 +63,7 @@ _SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
 
 
 def clean_tiles(
-    job: Job,
-    executor: Executor,
-    observer: StageObserver,
-    check: Callable[[Plan], None],
+    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
 ) -> tuple[dict[str, int], tuple[ClusterSummary, ...]]:
     """Label every point of a map that is cut into tiles.
 

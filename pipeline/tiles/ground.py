@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from dynahull.clustering import sample_rows
 from dynahull.ground.lattice import number_columns
-from dynahull.ground.methods import (
-    ground_mask,
-    ground_summary,
-    height_above_floors,
-    height_summary,
-)
+from dynahull.ground.methods import ground_mask, ground_summary, height_above_floors, height_summary
 from dynahull.ground.reach import decided_around, ground_radius, height_radius
 from dynahull.ground.slope import GroundSummary
 from dynahull.labels import Label

@@ -17,13 +17,7 @@ from dynahull.evidence.model import (
     model_file,
 )
 from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Returns, Views
-from dynahull.evidence.summaries import (
-    REACH,
-    ScoredPoints,
-    TimedVoxels,
-    around,
-    summarise_odds,
-)
+from dynahull.evidence.summaries import REACH, ScoredPoints, TimedVoxels, around, summarise_odds
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.borders import Region

@@ -23,13 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import (
-    ExtendedFormat,
-    MapReader,
-    MapWriter,
-    SinglePartWriter,
-    TextWriter,
-)
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter, TextWriter
 from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, put_records
