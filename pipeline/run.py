@@ -42,7 +42,7 @@ def run(
     *,
     fresh: bool = False,
 ) -> RunReport:
-    """Clean one map.
+    """Clean one map; return what `run.json` holds.
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ def run(
         Told of stages, progress and warnings; its seconds go into the report.
     fresh : bool
         Start over, whatever an earlier run of this map left in the output folder.
-
-    Returns
-    -------
-    RunReport
-        What `run.json` holds.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
-from tiling.formats.parquet_file import open_parquet
+from tiling.formats.parquet_tables import open_parquet
 from tiling.grid import Grid
 from tiling.layout import Layout
 from tiling.output_file import create_file

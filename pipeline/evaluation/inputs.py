@@ -20,7 +20,7 @@ from pipeline.outputs.reading import label_batches, row_columns
 from pipeline.replacing import LABELS_FILE, RUN_FILE
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
-from tiling.formats.parquet_file import row_count
+from tiling.formats.parquet_tables import row_count
 
 
 @dataclass(frozen=True, slots=True)

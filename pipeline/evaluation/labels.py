@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import ConfigurationError, EvaluationError
 from tiling.collection import MapCollection
 from tiling.formats import field_values
-from tiling.formats.parquet_file import open_parquet
+from tiling.formats.parquet_tables import open_parquet
 from tiling.formats.points import DEFAULT_BATCH, coordinate_names
 
 MOVING_COLUMN = "moving"

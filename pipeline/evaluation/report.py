@@ -17,7 +17,7 @@ from pipeline.evaluation.earth_mover import EarthMoversDistance
 from pipeline.evaluation.evaluate import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs, find_inputs
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.preservation import Preservation
+from pipeline.evaluation.scoring import Preservation
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching
 from pipeline.replacing import RUN_FILE

@@ -16,7 +16,7 @@ from pipeline.outputs.modes import DENSITY, LABEL, own_names
 from pipeline.replacing import LABELS_FILE, RUN_FILE
 from tiling.errors import MapFormatError
 from tiling.formats import field_values, open_map
-from tiling.formats.parquet_file import open_parquet
+from tiling.formats.parquet_tables import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
 
 Points = NDArray[np.float64]

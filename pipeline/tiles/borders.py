@@ -17,7 +17,7 @@ from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, reference_spreads
 from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
-from dynahull.reference.density import reference_densities
+from dynahull.reference import reference_densities
 from dynahull.result import NO_CLUSTER
 from pipeline.tiles.nearest import FreePoints, NearestSoFar, Vicinity
 

@@ -14,7 +14,7 @@ from dynahull.evidence.range_images import Returns
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.labels import Label
 from dynahull.warn import density_levels
-from pipeline.tiles.borders import Region, core_densities
+from pipeline.tiles.borders import CoreDensities, Region, core_densities
 from pipeline.tiles.ground import SAMPLE_NAMES, TilesAround, labelled_points, own_points, region_of
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
@@ -46,34 +46,12 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     known = np.flatnonzero(labels == Label.STATIC)
     free, core = FreePoints(chunk.xyz[known], chunk.rows[known]), chunk.core[known]
     del chunk, labels, unscored, known
-    xyz = free.xyz
     clusters = clusters_of(job, tile)
-    region = region_of(job, tile)
-    # Around a part lies the rest of the tile, as other tiles lie around the tile.
-    others = TilesAround(job, tile if sides == 1 else None)
-    cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
-    columns = SPREAD_COLUMNS if weighs else 0
-    spread = np.full((len(free), columns), np.nan, np.float32)
-    finished_elsewhere = 0
-    for box in divided(region, xyz, sides):
-        around = widened(box, _NEIGHBOURS_WITHIN, region)
-        known = np.flatnonzero(around.holds(xyz))
-        own = core[known] & box.holds(xyz[known])
-        scores = core_densities(
-            free if len(known) == len(free) else free.select(known),
-            own,
-            around,
-            others,
-            clusters,
-            job.configuration.method(),
-        )
-        cluster[known[own]], density[known[own]] = scores.cluster, scores.density
-        spread[known[own]] = scores.spread
-        finished_elsewhere += scores.finished_elsewhere
-    cluster, density = cluster[core], density[core]
+    scores = _core_scores(job, tile, sides, free, core, clusters)
+    cluster, density = scores.cluster, scores.density
     if weighs:
         unknown, scans = np.full(len(density), np.nan), job.scans_of(free.rows[core])
-        points = ScoredPoints(xyz[core], density, spread[core], unknown, scans)
+        points = ScoredPoints(free.xyz[core], density, scores.spread, unknown, scans)
         voxels.append(summarise_points(points))
         summed = Voxels.merged(voxels).to_arrays(VOXELS)
         job.work.make("spread")
@@ -89,7 +67,36 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         centroids=clusters.centroids,
     )
     counts = np.bincount(cluster, minlength=len(clusters.centroids))
-    return TaskReport(int(job.store.layout.counts[tile]), (finished_elsewhere, *counts.tolist()))
+    elsewhere = scores.finished_elsewhere
+    return TaskReport(int(job.store.layout.counts[tile]), (elsewhere, *counts.tolist()))
+
+
+def _core_scores(
+    job: Job,
+    tile: int,
+    sides: int,
+    free: FreePoints,
+    core: NDArray[np.bool_],
+    clusters: Clusters,
+) -> CoreDensities:
+    """Score the points of a tile's core, one part of the tile after the other."""
+    xyz, region, parameters = free.xyz, region_of(job, tile), job.configuration.method()
+    # Around a part lies the rest of the tile, as other tiles lie around the tile.
+    others = TilesAround(job, tile if sides == 1 else None)
+    cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
+    columns = SPREAD_COLUMNS if parameters.removal.weighs_evidence else 0
+    spread = np.full((len(free), columns), np.nan, np.float32)
+    finished_elsewhere = 0
+    for box in divided(region, xyz, sides):
+        around = widened(box, _NEIGHBOURS_WITHIN, region)
+        known = np.flatnonzero(around.holds(xyz))
+        own = core[known] & box.holds(xyz[known])
+        points = free if len(known) == len(free) else free.select(known)
+        scores = core_densities(points, own, around, others, clusters, parameters)
+        cluster[known[own]], density[known[own]] = scores.cluster, scores.density
+        spread[known[own]] = scores.spread
+        finished_elsewhere += scores.finished_elsewhere
+    return CoreDensities(cluster[core], density[core], spread[core], finished_elsewhere)
 
 
 def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import nearest_neighbours
 
 _MOST_CELLS = 1_000
 """Cells of a vicinity along each axis: a million together, a byte each."""

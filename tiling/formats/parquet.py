@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
-from tiling.formats.parquet_file import open_parquet
-from tiling.formats.parquet_points import find_points, geometry_column
+from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file

@@ -27,8 +27,7 @@ from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePart
 from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, put_records
-from tiling.formats.pcd import lzf
-from tiling.formats.pcd.column_spool import ColumnSpool
+from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
@@ -178,7 +177,7 @@ class PcdReader(MapReader):
         else:
             expected = f"{header.point_count * header.record_size} uncompressed bytes"
             raise MapFormatError(self._path, expected, str(column_size), at)
-        if column_size > packed_size * lzf.EXPANSION:
+        if column_size > packed_size * EXPANSION:
             expected = f"compressed data for {column_size} bytes"
             raise MapFormatError(self._path, expected, f"only {packed_size} bytes", at)
         return packed_size, fields
@@ -221,7 +220,7 @@ class PcdReader(MapReader):
             return
         with self._path.open("rb") as stream, ColumnSpool(widths, count) as spool:
             stream.seek(self._header.data_offset + _SIZES.size)
-            for block in lzf.decompress(stream, self._packed_size, count * sum(widths), self._path):
+            for block in decompress(stream, self._packed_size, count * sum(widths), self._path):
                 spool.append(block)
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
@@ -342,7 +341,7 @@ class PcdCompressedWriter(MapWriter):
             self._stream.write(_SIZES.pack(0, 0))
             packed_size = 0
             for block in self._spool.blocks():
-                packed_size += self._stream.write(lzf.compress(block))
+                packed_size += self._stream.write(compress(block))
             if max(packed_size, self._column_size) >= 1 << 32:
                 found = f"{packed_size} of {self._column_size}"
                 raise MapFormatError(self.path, "compressed data below 4 GiB", found)
