@@ -37,8 +37,6 @@ class Clusters:
         Parameters
         ----------
         points : (n, 3) float64 array
-        threads : int
-            They change nothing about the result.
         """
         nearest = np.zeros(len(points), np.int32)
         over_ranges(
@@ -91,7 +89,6 @@ def fit_clusters(sample: NDArray[np.float64], parameters: ClusteringParameters) 
     ----------
     sample : (n, 3) float64 array
         In the order of row numbers.
-    parameters : ClusteringParameters
 
     Returns
     -------

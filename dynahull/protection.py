@@ -75,8 +75,6 @@ def protected_points(
         Metres.
     classes : (n,) uint8 array or None
         ASPRS classes, where there are any.
-    protected_classes : sequence of int
-    areas : sequence of Area
     """
     protected = np.zeros(len(xyz), np.bool_)
     if classes is not None and protected_classes:

@@ -19,8 +19,6 @@ def range_bounds(count: int, threads: int, smallest: int) -> list[int]:
 
     Parameters
     ----------
-    count : int
-        Items.
     threads : int
         One range for one thread, and several a thread for more.
     smallest : int

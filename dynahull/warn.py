@@ -52,7 +52,6 @@ def warn_of_ground(ground: int, total: int, method: str, observer: Observer) -> 
         Points of the ground, and all that take part.
     method : str
         `ground.method`.
-    observer : Observer
     """
     if method == "none" or ground >= LITTLE_GROUND * total:
         return
@@ -73,8 +72,6 @@ def warn_of_clusters(
     ----------
     counts : sequence of int
         N_i, points of each cluster.
-    parameters : MethodParameters
-    observer : Observer
     """
     wanted = parameters.clustering.count
     if not sum(counts):
@@ -148,7 +145,6 @@ def warn_of_densities(levels: NDArray[np.int64], observer: Observer) -> None:
     ----------
     levels : (800,) int64 array
         See `density_levels`.
-    observer : Observer
     """
     if levels.sum() >= _FEWEST_SCORED and not has_sparse_population(levels):
         observer.warn(
@@ -169,7 +165,6 @@ def warn_of_sparse_map(wide: int, scored: int, observer: Observer) -> None:
     ----------
     wide, scored : int
         Points of `wide_neighbourhoods`, and all that are scored.
-    observer : Observer
     """
     if 2 * wide > scored:
         observer.warn(

@@ -81,7 +81,6 @@ def decide_again(
         Where nothing is removed, beside those of the run.
     restore : sequence of int
         Numbers of places of the run's report that are put back.
-    observer : StageObserver
 
     Raises
     ------

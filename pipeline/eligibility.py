@@ -98,7 +98,6 @@ class Watcher:
 
     Parameters
     ----------
-    configuration : Configuration
     note : callable, optional
         Given the first row of a batch, and the marks of its points, if any are marked.
 

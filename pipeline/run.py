@@ -50,7 +50,6 @@ def run(
         Files, folders or globs that together are one map.
     output : Path or None
         `<map>_dynahull` in the current folder by default.
-    configuration : Configuration
     observer : StageObserver
         Told of stages, progress and warnings; its seconds go into the report.
     fresh : bool

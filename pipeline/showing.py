@@ -61,7 +61,6 @@ def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> No
 
     Parameters
     ----------
-    path : Path
     suffix : str
         With the dot.
     inputs : iterable of Path

@@ -27,7 +27,6 @@ def open_collection(
 
     Parameters
     ----------
-    paths : sequence of Path
     parameters : InputParameters
         `unit` and `poses` are used.
     threads : int

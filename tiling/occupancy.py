@@ -70,7 +70,6 @@ def count_within(
 
     Parameters
     ----------
-    occupancy : Occupancy
     low, high : (n, 2) float64 arrays
         The boxes: low <= x, y < high, metres; may be infinite.
     """

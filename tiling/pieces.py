@@ -33,7 +33,6 @@ def sort_by_tile(
 
     Parameters
     ----------
-    store : ChunkStore
     source : PointSource
         The map.
     rows : range
@@ -92,7 +91,6 @@ class TileSorter:
 
     Parameters
     ----------
-    layout : Layout
     halo : float
         Metres.
     """

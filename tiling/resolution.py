@@ -38,7 +38,6 @@ def coarse_step_notes(
 
     Parameters
     ----------
-    collection : MapCollection
     place : (3,) float64 array
         Where the points lie, metres from the origin, see `typical_place`. Scans with poses lie
         around their own origin, whatever it says.

@@ -20,8 +20,6 @@ from dynahull.ground.reach import FLAT_RADIUS
 from dynahull.summary import Summary
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["are_flat", "are_floors", "outlines"]
-
 _SMALLEST_RANGE = 500
 """Levels."""
 
@@ -204,8 +202,6 @@ def are_floors(
         `storey_radius`, `slope` and `cell` are used.
     clearance : float
         Metres.
-    threads : int
-        They change nothing about the result.
     """
     offsets = disk_offsets(p.expert.storey_radius / p.expert.cell / _STRIDE) * _STRIDE
     reaches = _MARGIN + p.slope * distances_of(offsets, p.expert.cell)

@@ -13,8 +13,6 @@ from dynahull.extras import install_command
 from dynahull.ground.lattice import Booleans, Floats
 from dynahull.ground.parameters import ClothParameters
 
-__all__ = ["cloth_ground", "cloth_library"]
-
 _MOST_PARTICLES = 5e7
 """Of the cloth; each takes some hundred bytes."""
 
@@ -44,8 +42,6 @@ def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
     ----------
     points : (N, 3) float64 array
         Finite coordinates, metres.
-    p : ClothParameters
-        See there.
 
     Raises
     ------

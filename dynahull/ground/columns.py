@@ -8,8 +8,6 @@ from dynahull.compilation import compiled, helper
 from dynahull.ground.lattice import Booleans, Floats, Integers, number_columns, starts_of
 from dynahull.threads import group_bounds, over_ranges
 
-__all__ = ["Columns", "first_above", "first_from", "sort_columns"]
-
 _SMALLEST_RANGE = 20_000
 """Points."""
 
@@ -56,8 +54,6 @@ def sort_columns(points: Floats, cell: float, threads: int = 1) -> Columns:
         Metres.
     cell : float
         Side of a cell, metres.
-    threads : int
-        They change nothing about the result.
     """
     numbers, cells = number_columns(points, cell, threads)
     starts = starts_of(numbers, len(cells))

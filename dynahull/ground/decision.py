@@ -15,8 +15,6 @@ from dynahull.ground.reach import FOOT_PARTS
 from dynahull.ground.surface import NOISE, SLOPE_X, SLOPE_Y, Surface, height_over
 from dynahull.threads import over_ranges
 
-__all__ = ["decide"]
-
 _FOOT_HEIGHT = 0.3
 """Metres; what stands on the ground is looked for so high above it."""
 
@@ -36,8 +34,6 @@ def decide(
         Of the ground, over the columns' cells.
     p : SlopeParameters
         The tolerances, `steepest`, `cell` and `foot` are used.
-    threads : int
-        They change nothing about the result.
     """
     ground = np.zeros(len(points), np.bool_)
     tolerances = np.array(

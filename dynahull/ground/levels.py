@@ -10,8 +10,6 @@ from dynahull.ground.lattice import Booleans, Floats, Integers, Lattice
 from dynahull.summary import Summary
 from dynahull.threads import over_ranges
 
-__all__ = ["Levels", "find_levels", "levels_of"]
-
 _FEWEST_FOR_SPREAD = 3
 
 
@@ -54,14 +52,8 @@ def find_levels(
 
     Parameters
     ----------
-    columns : Columns
-        The points.
     thickness, clearance : float
         Metres.
-    clutter : float
-        Share.
-    threads : int
-        They change nothing about the result.
     """
     found = over_ranges(
         lambda first, end: _find_levels(

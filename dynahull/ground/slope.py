@@ -32,15 +32,6 @@ from dynahull.ground.surface import Surface, fit_surface, height_over
 from dynahull.summary import Summary
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = [
-    "GroundSummary",
-    "compile_once",
-    "floors_of",
-    "height_above",
-    "slope_ground",
-    "summarise",
-]
-
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
 
@@ -75,10 +66,6 @@ def slope_ground(
     ----------
     points : (N, 3) float64 array
         Finite coordinates, metres.
-    p : SlopeParameters
-        See there.
-    threads : int
-        They change nothing about the result.
     around : GroundSummary, optional
         Of all columns within `ground_radius` of the points; by default these are all.
 

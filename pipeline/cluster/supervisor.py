@@ -40,9 +40,6 @@ class Supervisor:
     ----------
     cluster : dask_jobqueue.JobQueueCluster
         Without workers yet.
-    client : distributed.Client
-    system : BatchSystem
-    parameters : ClusterParameters
     output : Path
         Output folder, where the numbers of the jobs are kept.
     """

@@ -46,8 +46,6 @@ class OnCluster(OnDask):
 
     Parameters
     ----------
-    client : distributed.Client
-    supervisor : Supervisor
     workers : int
         The number that is kept.
     """
@@ -197,7 +195,6 @@ def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security |
 
     Parameters
     ----------
-    tls : TLSParameters
     keys : mapping of str to Path
         Where they are to lie, for jobs to find them, if none are given.
 

@@ -151,7 +151,6 @@ def compare_geometry(
         Of the Earth Mover's Distance.
     folder : Path
         For the distances, in one direction at a time.
-    observer : Observer
     """
     distances = _all_distances(cleaned, truth, folder, observer, "to the truth")
     statistics, too_much = DistanceStatistics.of(distances), DirectedChamfer.of(distances)

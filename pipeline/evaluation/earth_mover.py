@@ -128,7 +128,6 @@ def draw_sample(cloud: TiledCloud, size: int, seed: int, stream: int) -> NDArray
 
     Parameters
     ----------
-    cloud : TiledCloud
     size : int
         Points wanted; all are returned where there are not more.
     seed, stream : int

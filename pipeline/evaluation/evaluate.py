@@ -53,8 +53,6 @@ def evaluate(
 
     Parameters
     ----------
-    inputs : EvaluationInputs
-    options : EvaluationOptions
     observer : Observer
         Told of stages, progress and warnings.
     picture : Path, optional

@@ -68,7 +68,6 @@ def find_inputs(
         original; or a Parquet table of labels, one row for each of the original.
     original : str or None
         By default the one that the run was given, or the labelled map.
-    options : EvaluationOptions
 
     Raises
     ------

@@ -60,7 +60,6 @@ class RowReader:
 
     Parameters
     ----------
-    values : RowValues
     name : str
         What they are of, for the message where there are too few.
     """
@@ -159,7 +158,6 @@ def read_label_table(
 
     Parameters
     ----------
-    path : Path
     column : str or None
         Its column of labels; `moving` by default.
     dynamic, unlabelled : sequence of range

@@ -37,7 +37,6 @@ def find_nearest(places: _Floats, cloud: TiledCloud, at_most: float = np.inf) ->
     ----------
     places : (m, 3) float64 array
         At least one.
-    cloud : TiledCloud
     at_most : float
         Where nothing is as near as this, nothing is found.
     """

@@ -111,7 +111,6 @@ def draw_picture(scored: TiledCloud, path: Path, observer: Observer) -> None:
         As `decision_counts` takes it.
     path : Path
         Replaced when the picture is complete.
-    observer : Observer
 
     Raises
     ------

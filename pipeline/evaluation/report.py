@@ -196,7 +196,6 @@ def evaluate_files(
     ----------
     cleaned, truth, original : str
         As `inputs.find_inputs` takes them.
-    options : EvaluationOptions
     json_file, picture : Path, optional
         Where to write all figures, and the map from above.
 

@@ -105,7 +105,6 @@ def compare_voxels(
         Edge, metres, as the maps were cut.
     folder : Path
         For the means of the cleaned map.
-    observer : Observer
     """
     means = TiledCloud(cleaned.name, folder, len(cleaned.low))
     for tile, xyz, labels in _labelled_means(cleaned, voxel, "voxels, cleaned", observer):
@@ -155,7 +154,6 @@ def label_by_map(
     ----------
     original : TiledCloud
         Its points are labelled.
-    truth : TiledCloud
     options : EvaluationOptions
         Its `truth_tolerance`.
     observer : Observer
@@ -228,10 +226,8 @@ def score(
     removed_known : bool
         Whether the original knows which of its points were removed; otherwise it learns it: those
         without a point of the cleaned map within `options.cleaned_tolerance`.
-    options : EvaluationOptions
     folder : Path
         For means of voxels.
-    observer : Observer
     """
     tolerance, match_distance = options.cleaned_tolerance, options.match_distance
     decisions, matches = Tally(), Tally()

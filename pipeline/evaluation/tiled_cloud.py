@@ -51,7 +51,6 @@ class TiledCloud:
         What to call it in messages.
     folder : Path
         Where its files lie, a column of a tile in each; made if it is not there.
-    tile_count : int
 
     Attributes
     ----------
@@ -100,7 +99,6 @@ class TiledCloud:
 
         Parameters
         ----------
-        tile : int
         xyz : (n, 3) float64 array
             At least one point.
         labels : (n,) int8 array
@@ -192,12 +190,10 @@ def cut_clouds(
 
     Parameters
     ----------
-    sources : dict of str to CloudSource
     voxel : float
         Edge, metres.
     folder : Path
         For their files.
-    observer : Observer
 
     Raises
     ------

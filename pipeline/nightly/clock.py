@@ -35,7 +35,6 @@ class NightEnd:
 
     Parameters
     ----------
-    clock : Clock
     stop_after : float or None
         Seconds from now; None for a night without end.
     """

@@ -109,7 +109,6 @@ def install_text(settings: NightlySettings, source: Path, given: Sequence[str] =
 
     Parameters
     ----------
-    settings : NightlySettings
     source : Path
         The YAML file.
     given : sequence of str

@@ -72,7 +72,6 @@ def find_maps(
 
     Parameters
     ----------
-    settings : NightlySettings
     configurations : sequence of Configuration
         One for each input.
 
@@ -199,7 +198,6 @@ def last_change(states: Fingerprint, now: float, seen_since: float | None = None
 
     Parameters
     ----------
-    states : Fingerprint
     now : float
         Seconds since 1970.
     seen_since : float, optional
@@ -231,7 +229,6 @@ def learn_content(
 
     Parameters
     ----------
-    found : FoundMap
     record : MapRecord
         Where content and fingerprint are put down.
     now : callable

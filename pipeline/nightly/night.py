@@ -58,10 +58,8 @@ def clean_nightly(
 
     Parameters
     ----------
-    settings : NightlySettings
     cleaner : Cleaner
         Cleans one map.
-    clock : Clock
     end : NightEnd
         Tells when to stop.
     retry : bool

@@ -84,7 +84,6 @@ class Cleaner:
 
         Parameters
         ----------
-        request : Request
         is_over : callable
             Tells whether to stop; asked now and then.
         """

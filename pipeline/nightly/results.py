@@ -202,8 +202,6 @@ def remove_old_runs(
 
     Parameters
     ----------
-    folder : MapFolder
-    keep : Retention
     now : float
         Seconds since 1970.
     wanted : str or None

@@ -243,7 +243,6 @@ class Minutes:
     ----------
     output : Path
         Folder of both.
-    clock : Clock
     """
 
     def __init__(self, output: Path, clock: Clock) -> None:

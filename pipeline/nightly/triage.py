@@ -59,8 +59,6 @@ def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapO
 
     Parameters
     ----------
-    candidate : Candidate
-    settings : NightlySettings
     now : float
         Seconds since 1970.
     """

@@ -42,7 +42,6 @@ def locked_folder(
 
     Parameters
     ----------
-    folder : Path
     who : str
         What holds it, in words.
     error : type of PipelineError

@@ -59,7 +59,6 @@ class SplitMode:
 
     Parameters
     ----------
-    reader : MapReader
     labels : (n,) uint8 array
         Of the file's points.
     """
@@ -87,7 +86,6 @@ class LabelMode:
 
     Parameters
     ----------
-    reader : MapReader
     labels : (n,) uint8 array
         Of the file's points.
     scores : PointScores
@@ -144,7 +142,6 @@ def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
 
     Parameters
     ----------
-    reader : MapReader
     with_score : bool
         Whether evidence is weighed.
 
@@ -221,8 +218,6 @@ def mode_of(
 
     Parameters
     ----------
-    reader : MapReader
-    output : OutputParameters
     labels : (n,) uint8 array
         Of the file's points.
     scores : PointScores or None

@@ -46,7 +46,6 @@ def write_thinned(
 
     Parameters
     ----------
-    collection : MapCollection
     labels : (N,) uint8 array
         Dynamic points are left out.
     output : OutputParameters
@@ -55,7 +54,6 @@ def write_thinned(
         Of the outputs.
     staging : Path
         Where temporary files may lie.
-    observer : StageObserver
     """
     work = staging / "voxels"
     work.mkdir()

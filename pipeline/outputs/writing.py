@@ -116,14 +116,11 @@ def write_maps(
 
     Parameters
     ----------
-    collection : MapCollection
-    output : OutputParameters
     labels : (N,) uint8 array
     scores : PointScores or None
         There where the outputs are labelled.
     outputs : sequence of tuple of Path
         Of each file of the map.
-    observer : StageObserver
     written : collection of int
         Files of the map whose outputs are there already.
     read : callable, optional

@@ -136,10 +136,8 @@ def make_plan(
 
     Parameters
     ----------
-    collection : MapCollection
     survey : Survey
         Of the whole map.
-    configuration : Configuration
     workers : int
         That will share the work.
 
@@ -221,8 +219,6 @@ def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
 
     Parameters
     ----------
-    plan : Plan
-    configuration : Configuration
     folder : Path
         Where results and temporary files will lie; it need not be there yet.
 

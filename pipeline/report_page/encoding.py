@@ -44,7 +44,6 @@ def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
 
     Parameters
     ----------
-    sample : MapSample
     percentages : Percentages
         Of the same points.
     """

@@ -81,7 +81,6 @@ def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
     ----------
     report : RunReport
         Every figure of the page is one of it, or is told to be an estimate.
-    views : Views
     tiles : TileWork or None
         None where the map was one tile, cleaned in memory.
     """

@@ -57,7 +57,6 @@ def removal_percentages(
 
     Parameters
     ----------
-    sample : MapSample
     clusters : sequence of ClusterReport
         As the run reports them.
     removal : dict
@@ -102,8 +101,6 @@ def confidence_percentages(
 
     Parameters
     ----------
-    sample : MapSample
-    clusters : sequence of ClusterReport
     confidence : float
         The run's own.
     decision : Decision

@@ -109,10 +109,8 @@ def core_densities(
         All ground-free points of the region.
     core : (n,) bool array
         Which of them are the tile's own.
-    region : Region
     others : OtherTiles
         Tiles to finish from, the tile itself not among them.
-    clusters : Clusters
     parameters : MethodParameters
         `neighbours.k`, `density.device` and `removal.decision` are used.
 

@@ -71,9 +71,6 @@ def clean_tiles(
 
     Parameters
     ----------
-    job : Job
-    executor : Executor
-    observer : StageObserver
     check : callable
         Told of the plan before any tile is cut; raises where it cannot be carried out.
 

@@ -120,7 +120,6 @@ def divided(region: Region, xyz: NDArray[np.float64], sides: int) -> list[Region
 
     Parameters
     ----------
-    region : Region
     xyz : (n, 3) float64 array
         The points.
     sides : int

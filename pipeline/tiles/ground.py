@@ -168,7 +168,6 @@ class TilesAround:
 
     Parameters
     ----------
-    job : Job
     tile : int or None
         The tile whose others these are; None for all tiles.
     """

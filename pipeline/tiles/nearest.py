@@ -96,7 +96,6 @@ class NearestSoFar:
     ----------
     centres : (m, 3) float64 array
         The queries.
-    k : int
     reach : (m,) float64 array
         Distances beyond which no neighbour is, metres; infinite where not known.
     """

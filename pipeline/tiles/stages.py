@@ -98,8 +98,6 @@ def do_stage(
 
     Parameters
     ----------
-    job : Job
-    executor : Executor
     observer : StageObserver
         Told of points, not of tasks.
     stage : str

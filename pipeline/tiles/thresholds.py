@@ -88,7 +88,6 @@ def find_cuts(
 
     Parameters
     ----------
-    tiles : sequence of ScoredTile
     counts : sequence of int
         N_i of every cluster of the whole map.
     percentages : sequence of Fraction

@@ -74,7 +74,6 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
     Parameters
     ----------
-    path : Path
     arrays : mapping of str to array
         In any shape.
     """

@@ -53,7 +53,6 @@ def open_job(
         Theirs, from before the bytes were hashed.
     digest : str
         Of their bytes.
-    configuration : Configuration
     fresh : bool
         Begin anew in any case.
     observer : StageObserver

@@ -78,7 +78,6 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
 
     Parameters
     ----------
-    workers : int
     memory : int
         Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
     """

@@ -95,7 +95,6 @@ def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
 
     Parameters
     ----------
-    path : Path
     name : str
         A field with one number a point, as the file names it.
 

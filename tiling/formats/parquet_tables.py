@@ -30,7 +30,6 @@ def open_parquet(path: Path, **options: Any) -> Iterator[pq.ParquetFile]:
 
     Parameters
     ----------
-    path : Path
     options
         Of `pyarrow.parquet.ParquetFile`.
     """
@@ -66,7 +65,6 @@ def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumn
 
     Parameters
     ----------
-    schema : pyarrow.Schema
     geo : bytes or None
         GeoParquet's description of the table, if there is one.
     path : Path

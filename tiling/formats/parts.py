@@ -138,7 +138,6 @@ class MapPart:
 
     Parameters
     ----------
-    writer : PartWriter
     first : int
         Row number, in the output, of the first point.
     """

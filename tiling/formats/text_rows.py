@@ -125,8 +125,6 @@ def read_rows(
 
     Parameters
     ----------
-    stream : binary file
-    layout : RowLayout
     row_count : int or None
         Rows that there must be; None if that is not known.
     max_rows : int
@@ -202,7 +200,6 @@ def parse_rows(
         Where in `text` to begin.
     limit : int
         Rows to take at most.
-    layout : RowLayout
     path : Path
         The file, for messages.
     line : int

@@ -248,7 +248,6 @@ class RowReader:
     ----------
     streams : sequence of binary files
         One for each of `header.column_count`; the same one many times where it can jump about.
-    header : ArrayHeader
     path : Path
         The file, for messages.
     name : str

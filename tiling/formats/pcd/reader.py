@@ -312,7 +312,6 @@ class PcdCompressedWriter(MapWriter):
 
     Parameters
     ----------
-    path : Path
     point_count : int
         Points that it will hold.
     header : PcdHeader
