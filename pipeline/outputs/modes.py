@@ -121,8 +121,8 @@ class LabelMode:
         if batch.classification is None:
             return (self._extended.extend(batch, values),)
         classes = np.where(self._kept[labels], batch.classification, self._classes[labels])
-        values.append(batch.classification)
-        return (self._extended.extend(batch, values, classes),)
+        records = self._extended.extend(batch, [*values, batch.classification])
+        return (self._extended.with_classes(records, classes),)
 
 
 OutputMode = SplitMode | LabelMode

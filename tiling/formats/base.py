@@ -294,12 +294,7 @@ class ExtendedFormat(ABC):
         return self._model.part_writer(path, point_count)
 
     @abstractmethod
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> Any:
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
         """Return the records of a batch with further values, for the writers.
 
         Parameters
@@ -308,10 +303,12 @@ class ExtendedFormat(ABC):
             From the reader of the map that is extended.
         values : sequence of (n,) arrays
             One for each of `fields`.
-        classification : (n,) uint8 array, optional
-            Classes that take the place of the points' own, where the format has them; elsewhere
-            they are not looked at.
         """
+
+    def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
+        """Return extended records with these classes, (n,), where the format has any."""
+        del classification
+        return records
 
 
 class TextWriter(MapWriter):

@@ -32,14 +32,8 @@ class ExtendedRecords(ExtendedFormat):
         super().__init__(model, fields)
         self._byte_order = byte_order
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> NDArray[Any]:
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """Return the records with the values; see `ExtendedFormat.extend`."""
-        del classification
         tail = packed(self.fields, values, self._byte_order)
         if batch.records.dtype == object:  # records of no fixed size, as bytes
             longer = np.empty(len(tail), dtype=object)
@@ -66,14 +60,8 @@ class ExtendedText(ExtendedFormat):
         super().__init__(model, fields)
         self._separator = separator
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> "TextRows":
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> "TextRows":
         """Return the rows with the values; see `ExtendedFormat.extend`."""
-        del classification
         columns = [
             column.astype(field.dtype).tolist()
             for field, column in zip(self.fields, values, strict=True)

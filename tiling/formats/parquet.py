@@ -243,13 +243,7 @@ class ParquetReader(MapReader):
 class _ExtendedTable(ExtendedFormat):
     """Tables of points with further columns."""
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> pa.Table:
-        del classification
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> pa.Table:
         table = batch.records
         for field, column in zip(self.fields, values, strict=True):
             table = table.append_column(field.name, pa.array(column.astype(field.dtype)))

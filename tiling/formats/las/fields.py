@@ -172,21 +172,20 @@ class ExtendedLas(ExtendedFormat):
         super().__init__(model, fields)
         self._header = header
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> NDArray[np.uint8]:
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
         """Return the records with the values; see `ExtendedFormat.extend`."""
-        records = np.hstack([batch.records, bytes_of(packed(self.fields, values))])
-        if classification is not None:
-            if self._header.point_format < 6:
-                # The other three bits are flags: synthetic, key-point, withheld.
-                records[:, 15] &= np.uint8(0xFF ^ LAST_SHORT_CLASS)
-                records[:, 15] |= classification & np.uint8(LAST_SHORT_CLASS)
-            else:
-                records[:, 16] = classification
+        return np.hstack([batch.records, bytes_of(packed(self.fields, values))])
+
+    def with_classes(
+        self, records: NDArray[np.uint8], classification: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Set the classes of extended records; see `ExtendedFormat.with_classes`."""
+        if self._header.point_format < 6:
+            # The other three bits are flags: synthetic, key-point, withheld.
+            records[:, 15] &= np.uint8(0xFF ^ LAST_SHORT_CLASS)
+            records[:, 15] |= classification & np.uint8(LAST_SHORT_CLASS)
+        else:
+            records[:, 16] = classification
         return records
 
 
@@ -194,8 +193,7 @@ def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
     """Return the header of points with further extra bytes, and the VLRs that these need.
 
     The VLR of extra bytes gets a descriptor for each field; one is made where there is none, and of
-    several.
-    That of LASzip, which lists the bytes of a point, is written anew.
+    several. That of LASzip, which lists the bytes of a point, is written anew.
 
     Parameters
     ----------

@@ -193,13 +193,7 @@ class NpzReader(MapReader):
 class _ExtendedArrays(ExtendedFormat):
     """Archives of points with further arrays."""
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> NDArray[Any]:
-        del classification
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         head = batch.records.dtype
         tail = packed(self.fields, values)
         count = len(head.names)
