@@ -5,15 +5,13 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, model_validator
 
 Corner = tuple[float, float]
 
 
-class Area(BaseModel):
+class Area(BaseModel, extra="forbid", frozen=True):
     """A polygon seen from above, between two heights; metres, as the map's coordinates."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     rings: tuple[tuple[Corner, ...], ...]
     """What lies within an odd number of them is in the area: the second ring is a hole."""

@@ -8,7 +8,7 @@ from typing import Annotated, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, SkipValidation
+from pydantic import BaseModel, SkipValidation
 
 from pipeline.configuration.run import Configuration
 from pipeline.scan_numbers import find_scans
@@ -32,7 +32,6 @@ _IN_MEMORY = 1 << 21
 """Points that are sorted at a time; of more, those alike go to the same temporary file."""
 
 _MOST_FILES = 512
-_POINT_BYTES = 24
 _MULTIPLIERS = np.array([-7046029254386353131, -4417276706812531889, 1609587929392839161])
 
 
@@ -70,10 +69,8 @@ class FileInfo(BaseModel):
         )
 
 
-class MapInfo(BaseModel):
+class MapInfo(BaseModel, frozen=True):
     """What a map of one or more files holds."""
-
-    model_config = ConfigDict(frozen=True)
 
     files: list[FileInfo]
     points: int

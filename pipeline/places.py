@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, added, cells_of
 from dynahull.evidence.reasons import REASONS
@@ -20,19 +20,15 @@ SCORE_STEPS = 100
 """Steps of a score that are counted, each a hundredth."""
 
 
-class PlaceReason(BaseModel):
+class PlaceReason(BaseModel, frozen=True):
     """Why points were removed, and what share of those of the place; from 0 to 1."""
-
-    model_config = ConfigDict(frozen=True)
 
     words: str
     share: float
 
 
-class Place(BaseModel):
+class Place(BaseModel, frozen=True):
     """A connected group of removed points."""
-
-    model_config = ConfigDict(frozen=True)
 
     number: int
     """From 1, the place of most points."""

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from pipeline.evaluation.labels import Labels, Truth
 
@@ -43,13 +43,11 @@ class Tally:
         return int(self._counts[2 * truth]), int(self._counts[2 * truth + 1])
 
 
-class Confusion(BaseModel):
+class Confusion(BaseModel, frozen=True):
     """The four counts over the labelled points of the original map, and their shares in percent.
 
     A share with nothing to be a share of is None.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     true_positives: int
     false_positives: int
@@ -101,7 +99,7 @@ class Confusion(BaseModel):
         )
 
 
-class DynamicMapAccuracy(BaseModel):
+class DynamicMapAccuracy(BaseModel, frozen=True):
     """The figures of the DynamicMap benchmark, in percent.
 
     Zhang, Duberg, Geng, Jia, Wang, Jensfelt: A Dynamic Points Removal Benchmark in Point Cloud Maps
@@ -110,8 +108,6 @@ class DynamicMapAccuracy(BaseModel):
     map has a point within `match_distance` of it, its own or another's. So a ghost that touches a
     wall is never removed, whatever a method does.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     static_accuracy: float | None
     """SA, static points kept / static points."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from dynahull.progress import Observer
 from pipeline.evaluation.earth_mover import EarthMoversDistance, draw_sample, transport_cost
@@ -25,14 +25,12 @@ Distances = NDArray[np.float64]
 _AT_A_TIME = 100_000
 
 
-class DistanceStatistics(BaseModel):
+class DistanceStatistics(BaseModel, frozen=True):
     """Distances d of the cleaned map's points to their nearest points in the truth.
 
     The DynaHull paper (Habibiroudkenar, Ojala, Tammi 2024, arXiv 2401.07541) reports them; in
     metres, the variance in square metres.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     count: int
     """n, points of the cleaned map that are compared."""
@@ -66,10 +64,8 @@ class DistanceStatistics(BaseModel):
         )
 
 
-class DirectedChamfer(BaseModel):
+class DirectedChamfer(BaseModel, frozen=True):
     """One direction of the Chamfer distance: from each point to its nearest in the other map."""
-
-    model_config = ConfigDict(frozen=True)
 
     squared: float
     """Mean of the squared distances, square metres."""
@@ -84,7 +80,7 @@ class DirectedChamfer(BaseModel):
         return cls(squared=squared, unsquared=_exact_sum(distances) / count)
 
 
-class ChamferDistance(BaseModel):
+class ChamferDistance(BaseModel, frozen=True):
     """The Chamfer distance between the cleaned map C and the truth T.
 
     mean over c of min over t of |c - t|^2, plus mean over t of min over c of |t - c|^2: the form
@@ -92,8 +88,6 @@ class ChamferDistance(BaseModel):
     not grow with the number of points. Published code and text differ in the square, in adding or
     averaging the directions, and in taking one direction only, so all parts are here.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     squared: float
     """Both directions added, square metres."""

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from dynahull.extras import install_command
 from pipeline.configuration.quantities import in_units
@@ -28,14 +28,12 @@ _MOST_STEPS = 10_000_000
 """Steps of the network simplex: POT's own limit, 100,000, is reached by some thousand points."""
 
 
-class EarthMoversDistance(BaseModel):
+class EarthMoversDistance(BaseModel, frozen=True):
     """The least cost of moving one sample into the other, all points of a sample weighing alike.
 
     Rubner, Tomasi, Guibas (IJCV 2000) with equal total weights, which is the Wasserstein distance;
     `ot.emd2` of POT (Flamary et al., JMLR 2021). The DynaHull paper reports it.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     distance: float
     """Mean cost of a unit of weight: metres, or square metres with the squared ground cost."""

@@ -2,17 +2,15 @@
 
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from dynahull.parameters import validation_message
 from pipeline.errors import ConfigurationError
 from pipeline.evaluation.earth_mover import GroundCost
 
 
-class EvaluationOptions(BaseModel):
+class EvaluationOptions(BaseModel, extra="forbid", frozen=True):
     """The options of `evaluate`; all of them are in its report."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     labels: str | None = None
     """Field of the truth that holds a label of every point; None: the truth is the static map."""

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, SkipValidation
+from pydantic import BaseModel, SkipValidation
 from rich.table import Table
 
 from pipeline.errors import ConfigurationError, OutputError
@@ -42,10 +42,8 @@ class MapFiles(BaseModel):
         return cls(files=files, points=collection.point_count)
 
 
-class EvaluationReport(BaseModel):
+class EvaluationReport(BaseModel, frozen=True):
     """Everything an evaluation has to say."""
-
-    model_config = ConfigDict(frozen=True)
 
     version: str
     finished: str

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from dynahull.progress import Observer
 from pipeline.evaluation.confusion import (
@@ -23,7 +23,7 @@ from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.tiled_cloud import TiledCloud, distance_apart, voxel_cells
 
 
-class Preservation(BaseModel):
+class Preservation(BaseModel, frozen=True):
     """How much of what is static is preserved, and of what moved is rejected; in percent.
 
     Lim, Hwang, Myung: ERASOR (RA-L 2021, arXiv 2103.04316). The text, as its successor ERASOR++
@@ -36,8 +36,6 @@ class Preservation(BaseModel):
     counts here, where in the code the order of the rows decides. The code's list of dynamic classes
     lacks 258, the moving truck; here they are what the user says.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     preservation_rate: float | None
     """PR."""

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from dynahull.parameters import validation_message
 from pipeline.errors import NightlyError
@@ -19,10 +19,8 @@ Fingerprint = tuple[FileState, ...]
 """States of a map's files, in their order: where it is the same, so is the content."""
 
 
-class Attempt(BaseModel):
+class Attempt(BaseModel, extra="forbid"):
     """A run that was begun and of whose end the journal does not know."""
-
-    model_config = ConfigDict(extra="forbid")
 
     run: str
     """Name of its folder."""
@@ -30,10 +28,8 @@ class Attempt(BaseModel):
     """Tasks that earlier nights had done for it."""
 
 
-class Failure(BaseModel):
+class Failure(BaseModel, extra="forbid"):
     """Why a map failed, and how often."""
-
-    model_config = ConfigDict(extra="forbid")
 
     key: str
     """What failed: hash of content and configuration, or of the states of files that cannot be
@@ -46,10 +42,8 @@ class Failure(BaseModel):
     """The last one, in one line."""
 
 
-class MapRecord(BaseModel):
+class MapRecord(BaseModel, extra="forbid"):
     """What is known of one map; results are not recorded, since they are there to be seen."""
-
-    model_config = ConfigDict(extra="forbid")
 
     first_seen: float
     """Seconds since 1970."""
@@ -71,9 +65,7 @@ class MapRecord(BaseModel):
     """Since when they have been so, seconds since 1970."""
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
+class _Stored(BaseModel, extra="forbid"):
     format: int = Field(_FORMAT, ge=_FORMAT, le=_FORMAT)
     maps: dict[str, MapRecord] = {}
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from pipeline.errors import NightlyError
 from pipeline.nightly.clock import Clock, Ending
@@ -70,10 +70,8 @@ FAILURES = (MapOutcome.FAILED, MapOutcome.NO_SPACE)
 """What makes the exit code 4."""
 
 
-class MapLine(BaseModel):
+class MapLine(BaseModel, frozen=True):
     """One line of `nightly.jsonl`."""
-
-    model_config = ConfigDict(frozen=True)
 
     night: str
     time: str
@@ -96,10 +94,8 @@ class MapLine(BaseModel):
     """That this night took for the map."""
 
 
-class NightSummary(BaseModel):
+class NightSummary(BaseModel, frozen=True):
     """What `nightly.json` holds."""
-
-    model_config = ConfigDict(frozen=True)
 
     version: str
     night: str

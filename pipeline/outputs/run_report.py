@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, SkipValidation
+from pydantic import BaseModel, SkipValidation
 
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import Configuration, is_elsewhere
@@ -69,10 +69,8 @@ class ClusterReport(BaseModel):
         )
 
 
-class RunReport(BaseModel):
+class RunReport(BaseModel, frozen=True):
     """Everything a run has to say."""
-
-    model_config = ConfigDict(frozen=True)
 
     version: str
     """Of this product."""
