@@ -27,8 +27,7 @@ from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
 from dynahull.protection import protected_points
-from dynahull.removal import Removal, remove_least_dense, remove_likely
-from dynahull.rescale import removal_percentages
+from dynahull.removal import Removal, removal_percentages, remove_least_dense, remove_likely
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
 from dynahull.strays import Outskirts, is_at_origin, warn_of_strays
 from dynahull.warn import (

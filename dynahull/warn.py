@@ -13,7 +13,7 @@ from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.summaries import logarithms
 from dynahull.parameters import MethodParameters, RemovalParameters
 from dynahull.progress import Observer
-from dynahull.rescale import removal_percentages, smallest_counted
+from dynahull.removal import removal_percentages, smallest_counted
 from dynahull.result import ClusterSummary
 
 LITTLE_GROUND = 0.02

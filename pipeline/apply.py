@@ -17,8 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from dynahull.labels import Label
 from dynahull.protection import Area
-from dynahull.removal import remove_likely
-from dynahull.rescale import removal_percentages
+from dynahull.removal import removal_percentages, remove_likely
 from dynahull.result import NO_CLUSTER, ClusterSummary
 from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import Configuration, load_configuration

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from dynahull.removal import removable_count, remove_likely
-from dynahull.rescale import removal_count, removal_percentages
+from dynahull.removal import removable_count, removal_count, removal_percentages, remove_likely
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import VerificationError

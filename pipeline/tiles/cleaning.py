@@ -10,7 +10,7 @@ from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.viewpoints import Viewpoints
 from dynahull.labels import Label
-from dynahull.rescale import removal_percentages
+from dynahull.removal import removal_percentages
 from dynahull.result import ClusterSummary
 from dynahull.strays import OUTSKIRTS_NAMES, Outskirts, Strays
 from dynahull.warn import (

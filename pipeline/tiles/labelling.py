@@ -10,8 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.reasons import NO_REASON
 from dynahull.labels import Label
-from dynahull.removal import remove_likely
-from dynahull.rescale import removal_percentages, smallest_counted
+from dynahull.removal import removal_percentages, remove_likely, smallest_counted
 from dynahull.result import NO_CLUSTER
 from pipeline.errors import WorkError
 from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS

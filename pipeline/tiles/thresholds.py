@@ -11,8 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.removal import removable_count, stepped_quartiles, stepped_threshold
-from dynahull.rescale import removal_count
+from dynahull.removal import removable_count, removal_count, stepped_quartiles, stepped_threshold
 
 _STEP = 16
 
