@@ -53,17 +53,7 @@ def find_results(folder: Path) -> list[Path]:
 
 
 def verify(folder: Path) -> str:
-    """Verify the results of one map.
-
-    Parameters
-    ----------
-    folder : Path
-        An output folder of `run`.
-
-    Returns
-    -------
-    str
-        What was proven, in one line.
+    """Verify the results in the output folder of a run; say what was proven, in one line.
 
     Raises
     ------

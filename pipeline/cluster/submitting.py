@@ -179,12 +179,7 @@ def _of_the_run(configuration: Configuration) -> Configuration:
 
 
 def cancel_run(folder: Path) -> str:
-    """Cancel the job of a run and those of its workers; what is done is kept.
-
-    Returns
-    -------
-    str
-        What was cancelled.
+    """Cancel the job of a run and those of its workers, and say which; what is done is kept.
 
     Raises
     ------

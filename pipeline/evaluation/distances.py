@@ -135,16 +135,9 @@ def compare_geometry(
     folder: Path,
     observer: Observer,
 ) -> Geometry:
-    """Measure the distances between the cleaned map and the truth.
+    """Measure the distances between the cleaned map and the truth, which have a point at least.
 
-    Parameters
-    ----------
-    cleaned, truth : TiledCloud
-        Each with at least one point.
-    options : EvaluationOptions
-        Of the Earth Mover's Distance.
-    folder : Path
-        For the distances, in one direction at a time.
+    The distances lie in the folder, those of one direction at a time.
     """
     distances = _all_distances(cleaned, truth, folder, observer, "to the truth")
     statistics, too_much = DistanceStatistics.of(distances), DirectedChamfer.of(distances)

@@ -122,14 +122,9 @@ def transport_cost(
 
 
 def draw_sample(cloud: TiledCloud, size: int, seed: int, stream: int) -> NDArray[np.float64]:
-    """Draw points at random, uniformly, without replacement.
+    """Draw points at random, uniformly, without replacement; all where there are not more.
 
-    Parameters
-    ----------
-    size : int
-        Points wanted; all are returned where there are not more.
-    seed, stream : int
-        Samples of one seed and several streams are independent of each other.
+    Samples of one seed and several streams are independent of each other.
 
     Returns
     -------

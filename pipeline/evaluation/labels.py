@@ -58,10 +58,7 @@ class RowValues:
 class RowReader:
     """One pass through the values of a map, as many rows at a time as are asked for.
 
-    Parameters
-    ----------
-    name : str
-        What they are of, for the message where there are too few.
+    Where there are too few, `name` says of what.
     """
 
     def __init__(self, values: RowValues, name: str) -> None:
@@ -156,12 +153,7 @@ def read_label_table(
 ) -> RowValues:
     """Return the labels of a table of one row a point, such as the `truth.parquet` of `simulate`.
 
-    Parameters
-    ----------
-    column : str or None
-        Its column of labels; `moving` by default.
-    dynamic, unlabelled : sequence of range
-        See `to_truth`.
+    The column is `moving` by default; its values mean what they mean to `to_truth`.
 
     Raises
     ------

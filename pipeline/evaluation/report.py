@@ -188,14 +188,9 @@ def evaluate_files(
     json_file: Path | None = None,
     picture: Path | None = None,
 ) -> EvaluationReport:
-    """Evaluate a cleaned map, and write what was asked for.
+    """Evaluate a cleaned map, and write what was asked for: all figures, and a map from above.
 
-    Parameters
-    ----------
-    cleaned, truth, original : str
-        As `inputs.find_inputs` takes them.
-    json_file, picture : Path, optional
-        Where to write all figures, and the map from above.
+    The maps are named as for `inputs.find_inputs`.
 
     Raises
     ------

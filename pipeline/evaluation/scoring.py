@@ -67,12 +67,12 @@ class Preservation(BaseModel, frozen=True):
 def voxel_means(points: NDArray[np.float64], voxel: float) -> NDArray[np.float64]:
     """Return the mean of the points in each voxel, as PCL's `VoxelGrid` does.
 
+    The voxels' corners are whole multiples of their edge, in metres.
+
     Parameters
     ----------
     points : (n, 3) float64 array
         All points of each of their voxels.
-    voxel : float
-        Edge, metres; the voxels' corners are whole multiples of it.
 
     Returns
     -------
@@ -95,14 +95,8 @@ def compare_voxels(
 ) -> Preservation:
     """Make one labelled point a voxel of two maps, and compare.
 
-    Parameters
-    ----------
-    original, cleaned : TiledCloud
-        Their labelled points.
-    voxel : float
-        Edge, metres, as the maps were cut.
-    folder : Path
-        For the means of the cleaned map.
+    The edge of a voxel is that by which the maps were cut. The means of the cleaned map lie in the
+    folder.
     """
     means = TiledCloud(cleaned.name, folder, len(cleaned.low))
     for tile, xyz, labels in _labelled_means(cleaned, voxel, "voxels, cleaned", observer):
@@ -148,14 +142,7 @@ def label_by_map(
 ) -> None:
     """Call static what the truth holds, and dynamic the other points of the original.
 
-    Parameters
-    ----------
-    original : TiledCloud
-        Its points are labelled.
-    options : EvaluationOptions
-        Its `truth_tolerance`.
-    observer : Observer
-        Is warned where much of the truth is not in the original.
+    By `truth_tolerance` of the options. Warn where much of the truth is not in the original.
     """
     tolerance = options.truth_tolerance
     for tile, nearest in look_up(original, truth, observer, "labels", tolerance):
@@ -175,16 +162,7 @@ def label_cleaned(
 ) -> None:
     """Give each point of the cleaned map the label of the nearest point of the original.
 
-    Parameters
-    ----------
-    cleaned : TiledCloud
-        Its points are labelled.
-    original : TiledCloud
-        With its labels.
-    options : EvaluationOptions
-        Its `cleaned_tolerance`.
-    observer : Observer
-        Is warned where many of the points are not in the original.
+    By `cleaned_tolerance` of the options. Warn where many points are not in the original.
     """
     at_place = 0
     for tile, nearest in look_up(cleaned, original, observer, "cleaned points"):
@@ -213,14 +191,10 @@ def score(
     folder: Path,
     observer: Observer,
 ) -> Scores:
-    """Count what was rightly and wrongly removed.
+    """Count what was rightly and wrongly removed of an original whose labels are known.
 
     Parameters
     ----------
-    cleaned : TiledCloud
-        Its points of known truth.
-    original : TiledCloud
-        With its labels.
     removed_known : bool
         Whether the original knows which of its points were removed; otherwise it learns it: those
         without a point of the cleaned map within `options.cleaned_tolerance`.

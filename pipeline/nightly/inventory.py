@@ -68,12 +68,8 @@ def find_maps(
 ) -> tuple[list[FoundMap], list[Problem]]:
     """Find all maps of all inputs; what lies in the output folder is none.
 
-    A map whose files all belong to maps found before is none either.
-
-    Parameters
-    ----------
-    configurations : sequence of Configuration
-        One for each input.
+    A map whose files all belong to maps found before is none either. Each input has one
+    configuration.
 
     Returns
     -------
@@ -194,14 +190,8 @@ def last_change(states: Fingerprint, now: float, seen_since: float | None = None
     """Return when a map was last written to, seconds since 1970.
 
     Of its files the last one; of a file the later of its two dates, since a copy that keeps dates
-    sets the first one back. Dates in the future, by a clock that is or was wrong, are none.
-
-    Parameters
-    ----------
-    now : float
-        Seconds since 1970.
-    seen_since : float, optional
-        Since when the map is known to be as it is: for files that have no other date.
+    sets the first one back. Dates in the future, by a clock that is or was wrong, are none; of a
+    file without any other, it is since when the map is known to be as it is.
     """
     otherwise = now if seen_since is None else min(seen_since, now)
     return max(max(dates, default=otherwise) for dates in _past_dates(states, now))
@@ -225,21 +215,12 @@ def trusted_content(record: MapRecord, states: Fingerprint) -> str | None:
 def learn_content(
     found: FoundMap, record: MapRecord, now: Callable[[], float], advance: Callable[[int], None]
 ) -> bool:
-    """Hash a map and remember its content.
+    """Hash a map and remember its content; return whether it did not change meanwhile.
 
     Parameters
     ----------
-    record : MapRecord
-        Where content and fingerprint are put down.
-    now : callable
-        Tells the time.
     advance : callable
         Told of the bytes hashed; what it raises ends the hashing.
-
-    Returns
-    -------
-    bool
-        False when the map changed meanwhile, and nothing was put down.
 
     Raises
     ------

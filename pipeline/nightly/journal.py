@@ -73,11 +73,6 @@ class _Stored(BaseModel, extra="forbid"):
 class Journal:
     """The records of all maps ever seen, by absolute path.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the journal lies.
-
     Raises
     ------
     NightlyError

@@ -54,21 +54,12 @@ logger = logging.getLogger("dynahull")
 def clean_nightly(
     settings: NightlySettings, cleaner: Cleaner, clock: Clock, end: NightEnd, *, retry: bool = False
 ) -> NightSummary:
-    """Spend one night.
+    """Spend one night; return what `nightly.json` holds.
 
     Parameters
     ----------
-    cleaner : Cleaner
-        Cleans one map.
-    end : NightEnd
-        Tells when to stop.
     retry : bool
         Forget all failures: what was set aside is tried again.
-
-    Returns
-    -------
-    NightSummary
-        What `nightly.json` holds.
 
     Raises
     ------

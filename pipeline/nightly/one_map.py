@@ -80,13 +80,7 @@ class Cleaner:
     """
 
     def clean(self, request: Request, is_over: Callable[[], bool]) -> Ended:
-        """Clean a map.
-
-        Parameters
-        ----------
-        is_over : callable
-            Tells whether to stop; asked now and then.
-        """
+        """Clean a map, unless `is_over`, asked now and then, says to stop."""
         # -P: a folder `pipeline` in the present folder is not this package. A session of its own:
         # Ctrl-C goes to the night, which stops the child once.
         asked = json.dumps(_REQUEST.dump_python(request, mode="json"))

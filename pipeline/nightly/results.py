@@ -198,12 +198,10 @@ def report_page(run: Path) -> Path:
 def remove_old_runs(
     folder: MapFolder, keep: Retention, now: float, wanted: str | None, *, work_may_go_on: bool
 ) -> list[Path]:
-    """Remove runs of a map that are neither among the last nor young.
+    """Remove runs of a map that are neither among the last nor young, the last good one never.
 
     Parameters
     ----------
-    now : float
-        Seconds since 1970.
     wanted : str or None
         Key of what the map is now, unless it was set aside; its run stays, finished or not.
     work_may_go_on : bool
@@ -213,7 +211,7 @@ def remove_old_runs(
     Returns
     -------
     list of Path
-        What is gone. The last good result never is.
+        What is gone.
     """
     latest = folder.latest()
     finished = folder.finished()

@@ -112,14 +112,7 @@ class NightlySettings(BaseModel, extra="forbid", frozen=True):
 
 
 def load_nightly_settings(source: Path, settings: Sequence[str] = ()) -> NightlySettings:
-    """Read what is cleaned every night, with every path made absolute.
-
-    Parameters
-    ----------
-    source : Path
-        The YAML file.
-    settings : sequence of str
-        `key=value`, as given to `--set`.
+    """Read what is cleaned every night, with every path made absolute; `--set` may change it.
 
     Raises
     ------

@@ -233,13 +233,7 @@ def put_long_file_aside(folder: Path) -> None:
 
 
 class Minutes:
-    """Writes `nightly.jsonl` line by line, and `nightly.json` anew with every line.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of both.
-    """
+    """Writes `nightly.jsonl` line by line, and `nightly.json` anew with every line."""
 
     def __init__(self, output: Path, clock: Clock) -> None:
         self._output, self._clock = output, clock

@@ -55,13 +55,7 @@ class Candidate:
 
 
 def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapOutcome | None:
-    """Return why a map is not to be cleaned, None if it is.
-
-    Parameters
-    ----------
-    now : float
-        Seconds since 1970.
-    """
+    """Return why a map is not to be cleaned now, None if it is."""
     if now - candidate.last_change(now) < settings.settle:
         return MapOutcome.WAITING
     if candidate.folder.result(candidate.key) is not None:

@@ -203,13 +203,7 @@ def _publish(staging: Path, folder: Path) -> None:
 
 @contextmanager
 def _renaming_all() -> Iterator[Callable[[Path, Path], None]]:
-    """Give what renames files; where anything fails in the block, the last one is taken back first.
-
-    Yields
-    ------
-    callable
-        Takes the old path and the new one, whose folder is made.
-    """
+    """Give what renames a file; where anything fails in the block, the last is taken back first."""
     done: list[tuple[Path, Path]] = []
 
     def rename(old: Path, new: Path) -> None:

@@ -38,15 +38,7 @@ def folder_is_locked(folder: Path) -> bool:
 def locked_folder(
     folder: Path, who: str = "run", error: type[PipelineError] = OutputError
 ) -> Iterator[None]:
-    """Hold the folder's lock.
-
-    Parameters
-    ----------
-    who : str
-        What holds it, in words.
-    error : type of PipelineError
-        Raised when another one does.
-    """
+    """Hold the folder's lock; `who` says what holds it. Another one that does is an error."""
     handle = _take_lock(folder)
     # Whoever asks whether the folder is locked holds the lock for a moment.
     for _ in range(2):

@@ -55,13 +55,7 @@ class OutputFormat(Protocol):
 
 
 class SplitMode:
-    """What stays and what goes, in an output each.
-
-    Parameters
-    ----------
-    labels : (n,) uint8 array
-        Of the file's points.
-    """
+    """What stays and what goes of a file's points, by their labels, in an output each."""
 
     def __init__(self, reader: MapReader, labels: Labels) -> None:
         self.reader = reader
@@ -84,14 +78,7 @@ class SplitMode:
 class LabelMode:
     """All points in one output, with labels and scores, and with classes where the format has them.
 
-    Parameters
-    ----------
-    labels : (n,) uint8 array
-        Of the file's points.
-    scores : PointScores
-        Of the file's points.
-    classes : mapping of Label to int or None
-        The class that points of each label get; None for their own.
+    `classes` gives the class of points of each label, None for their own.
     """
 
     def __init__(
@@ -138,12 +125,7 @@ def own_names(name: str, suffix: str) -> tuple[str, str]:
 
 
 def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
-    """Return the fields that a labelled map has behind those of the input.
-
-    Parameters
-    ----------
-    with_score : bool
-        Whether evidence is weighed.
+    """Return the fields that a labelled map has behind those of the input; a score, if weighed.
 
     Raises
     ------
@@ -214,15 +196,7 @@ def _check_merging(readers: Sequence[MapReader]) -> None:
 def mode_of(
     reader: MapReader, output: OutputParameters, labels: Labels, scores: PointScores | None
 ) -> OutputMode:
-    """Return how the points of a file go into its outputs.
-
-    Parameters
-    ----------
-    labels : (n,) uint8 array
-        Of the file's points.
-    scores : PointScores or None
-        Of the file's points, where `output.needs_scores`.
-    """
+    """Return how the points of a file go into its outputs; scores where `output.needs_scores`."""
     if output.mode == "split":
         return SplitMode(reader, labels)
     assert scores is not None  # asked for

@@ -37,15 +37,10 @@ class ResultPoints:
 
 
 def read_result(folder: Path) -> ResultPoints:
-    """Read the points of a finished run.
+    """Read the points of a finished run, from its output folder.
 
     More than static and dynamic is known where the run wrote labels.parquet (`--labels`) or a
     labelled map.
-
-    Parameters
-    ----------
-    folder : Path
-        An output folder of `run`.
 
     Raises
     ------

@@ -42,18 +42,8 @@ def write_thinned(
 ) -> int:
     """Write the thinned map, a file for each of the map, or one of all; return its points.
 
-    Points without finite coordinates are in no voxel, and are left out.
-
-    Parameters
-    ----------
-    labels : (N,) uint8 array
-        Dynamic points are left out.
-    output : OutputParameters
-        `voxel`, the edge in metres, and `merge`.
-    places : sequence of Path
-        Of the outputs.
-    staging : Path
-        Where temporary files may lie.
+    Dynamic points are left out, and those without finite coordinates, which are in no voxel.
+    Temporary files lie in the staging folder.
     """
     work = staging / "voxels"
     work.mkdir()

@@ -70,10 +70,7 @@ def give_memory_back() -> None:
 def available_memory(root: Path = Path("/")) -> int:
     """Return the bytes that processes may still take: of the machine, or of a control group.
 
-    Parameters
-    ----------
-    root : Path
-        Of the file system in which `proc` and `sys` are looked for.
+    `proc` and `sys` are looked for within `root`.
     """
     free = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     for line in _lines(root / "proc/meminfo"):
@@ -96,13 +93,7 @@ class _Mount:
 
 
 def memory_left(root: Path = Path("/")) -> int | None:
-    """Return the bytes that the control groups of this process leave it; None without a limit.
-
-    Parameters
-    ----------
-    root : Path
-        Of the file system in which `proc` and `sys` are looked for.
-    """
+    """Return the bytes that the control groups of this process leave it; None without a limit."""
     left = []
     for folder, is_second in _groups(root):
         statistics = _statistics(folder / "memory.stat")

@@ -132,14 +132,7 @@ class Plan:
 def make_plan(
     collection: MapCollection, survey: Survey, configuration: Configuration, workers: int
 ) -> Plan:
-    """Plan how a map is cut.
-
-    Parameters
-    ----------
-    survey : Survey
-        Of the whole map.
-    workers : int
-        That will share the work.
+    """Plan how a map is cut, by the survey of all of it, for so many workers to share the work.
 
     Raises
     ------
@@ -215,12 +208,7 @@ def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np
 
 
 def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
-    """Refuse a plan that cannot be carried out here.
-
-    Parameters
-    ----------
-    folder : Path
-        Where results and temporary files will lie; it need not be there yet.
+    """Refuse a plan that cannot be carried out in a folder, which need not be there yet.
 
     Raises
     ------

@@ -40,13 +40,7 @@ class EncodedSample:
 
 
 def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
-    """Encode a sample.
-
-    Parameters
-    ----------
-    percentages : Percentages
-        Of the same points.
-    """
+    """Encode a sample, and the percentages of the same points."""
     low, high = view_bounds(sample.xyz)
     shown = np.flatnonzero(((sample.xyz >= low) & (sample.xyz <= high)).all(axis=1))
     span = np.where(high > low, high - low, 1.0)
@@ -101,12 +95,7 @@ def _narrow(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box that the views show: all points but those far away from nearly all others.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64 array
-    """
+    """Return the box that the views show: all points but those far away from nearly all others."""
     if not len(xyz):
         return np.zeros(3), np.ones(3)
     near, far = np.quantile(xyz, [_OUTLIERS, 1 - _OUTLIERS], axis=0)

@@ -77,12 +77,8 @@ class Views:
 def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
     """Return the page of a run, as HTML.
 
-    Parameters
-    ----------
-    report : RunReport
-        Every figure of the page is one of it, or is told to be an estimate.
-    tiles : TileWork or None
-        None where the map was one tile, cleaned in memory.
+    Every figure of it is one of the report, or is told to be an estimate. There are no tiles where
+    the map was one, cleaned in memory.
     """
     removal = report.configuration["removal"]
     by_evidence = removal["decision"] == "auto"

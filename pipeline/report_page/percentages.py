@@ -53,15 +53,7 @@ class Percentages:
 def removal_percentages(
     sample: MapSample, clusters: Sequence[ClusterReport], removal: dict[str, Any]
 ) -> Percentages:
-    """Find what each percentage takes.
-
-    Parameters
-    ----------
-    clusters : sequence of ClusterReport
-        As the run reports them.
-    removal : dict
-        The section of that name in the run's configuration.
-    """
+    """Find what each percentage takes of a run's clusters, by `removal` of its configuration."""
     own = float(removal["max_percent"])
     steps = np.arange(round(100 / TABLE_STEP) + 1) * TABLE_STEP
     removed_from = np.full(len(sample), NEVER)
@@ -97,15 +89,7 @@ def removal_percentages(
 def confidence_percentages(
     sample: MapSample, clusters: Sequence[ClusterReport], confidence: float, decision: Decision
 ) -> Percentages:
-    """Find what each confidence takes, where the evidence decides.
-
-    Parameters
-    ----------
-    confidence : float
-        The run's own.
-    decision : Decision
-        Of the whole map.
-    """
+    """Find what each confidence takes, beside the run's own, where the evidence decides."""
     own = 100 * (1 - confidence)
     lacking = 100 * (1 - sample.score.astype(np.float64))
     gone = sample.labels == Label.DYNAMIC

@@ -40,12 +40,7 @@ class Region:
     ) -> NDArray[np.bool_]:
         """Tell whose neighbours all lie inside: nothing outside is as near as their k-th.
 
-        Parameters
-        ----------
-        xyz : (n, 3) float64 array
-            Points inside.
-        squared_reach : (n,) float64 array
-            Squared distance of their k-th neighbour inside; NaN or infinite if there is none.
+        The squared reach, (n,), is NaN or infinite where there is no k-th neighbour inside.
         """
         # Rounding is monotonic: a point beyond the border is no nearer than this, to the last bit.
         border = self.distance_to_border(xyz)
@@ -101,23 +96,9 @@ def core_densities(
     clusters: Clusters,
     parameters: MethodParameters,
 ) -> CoreDensities:
-    """Score the core points of a tile.
+    """Score the core points of a tile, in their order, knowing all ground-free ones of its region.
 
-    Parameters
-    ----------
-    known : FreePoints
-        All ground-free points of the region.
-    core : (n,) bool array
-        Which of them are the tile's own.
-    others : OtherTiles
-        Tiles to finish from, the tile itself not among them.
-    parameters : MethodParameters
-        `neighbours.k`, `density.device` and `removal.decision` are used.
-
-    Returns
-    -------
-    CoreDensities
-        For the core points, in their order.
+    `others` are tiles to finish from, the tile itself not among them.
     """
     membership = np.full(len(known), NO_CLUSTER, np.int32)
     if len(clusters.centroids):  # a tile's own clusters are none where it has no points
@@ -176,14 +157,7 @@ def _inside_densities(
 class _Rest:
     """What is left to do of a tile: points that may have a neighbour beyond the region.
 
-    Parameters
-    ----------
-    known : FreePoints
-        All ground-free points of the region.
-    membership : (n,) int32 array
-        Their clusters.
-    region, others, clusters, parameters
-        As for `core_densities`.
+    Parameters are those of `core_densities`, and the clusters of all points.
     """
 
     def __init__(

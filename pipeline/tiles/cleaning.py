@@ -67,12 +67,8 @@ def clean_tiles(
 ) -> tuple[dict[str, int], tuple[ClusterSummary, ...]]:
     """Label every point of a map that is cut into tiles.
 
-    Labels, clusters and densities are in files, a value a row.
-
-    Parameters
-    ----------
-    check : callable
-        Told of the plan before any tile is cut; raises where it cannot be carried out.
+    Labels, clusters and densities are in files, a value a row. `check` is told of the plan before
+    any tile is cut, and raises where it cannot be carried out.
 
     Returns
     -------

@@ -113,22 +113,11 @@ SIDES = (2, 4)
 
 
 def divided(region: Region, xyz: NDArray[np.float64], sides: int) -> list[Region]:
-    """Cut a region into boxes that hold about equally many points.
+    """Cut a region into sides x sides boxes of about equally many points, some perhaps empty.
 
     A tile is worked on in such parts where the memory does not suffice for it as a whole. Its
-    points stay those of one tile in all that is kept of it.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64 array
-        The points.
-    sides : int
-        Boxes each way, first by x and then by y.
-
-    Returns
-    -------
-    list of Region
-        sides x sides boxes, some perhaps empty; each place of the region is in just one.
+    points stay those of one tile in all that is kept of it. Each place of the region is in just one
+    box; they are cut first by x, and then by y.
     """
     if sides == 1:
         return [region]

@@ -164,13 +164,7 @@ def own_points(job: Job, tile: int) -> FreePoints:
 
 
 class TilesAround:
-    """The ground-free points of all other tiles, from their files; see `borders.OtherTiles`.
-
-    Parameters
-    ----------
-    tile : int or None
-        The tile whose others these are; None for all tiles.
-    """
+    """The ground-free points of all tiles but one, from their files; see `borders.OtherTiles`."""
 
     def __init__(self, job: Job, tile: int | None) -> None:
         self._job = job

@@ -90,14 +90,9 @@ class Vicinity:
 
 
 class NearestSoFar:
-    """The k nearest points met so far, of each of some queries.
+    """The k nearest points met so far, of each of some queries, (m, 3).
 
-    Parameters
-    ----------
-    centres : (m, 3) float64 array
-        The queries.
-    reach : (m,) float64 array
-        Distances beyond which no neighbour is, metres; infinite where not known.
+    Beyond its reach, in metres and infinite where not known, a query has no neighbour.
     """
 
     def __init__(self, centres: NDArray[np.float64], k: int, reach: NDArray[np.float64]) -> None:

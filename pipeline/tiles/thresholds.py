@@ -21,13 +21,6 @@ def order_statistic(batches: Iterable[NDArray[np.float64]], rank: int) -> float:
 
     A float64 that is not negative orders like its bits, so each pass finds sixteen more bits of the
     number: it counts the next sixteen of those that begin with the bits known so far.
-
-    Parameters
-    ----------
-    batches : iterable of (n,) float64 arrays
-        Numbers that are not negative; gone through several times.
-    rank : int
-        Less than their count.
     """
     prefix, below = 0, 0
     for shift in range(64 - _STEP, -1, -_STEP):
@@ -83,21 +76,7 @@ def find_cuts(
     percentages: Sequence[Fraction],
     threshold: Literal["rank", "stepped"],
 ) -> list[Cut]:
-    """Find where each cluster is cut, exactly as `dynahull.removal` does on arrays.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        N_i of every cluster of the whole map.
-    percentages : sequence of Fraction
-        R_i of Eq. 1.
-    threshold : {"rank", "stepped"}
-
-    Returns
-    -------
-    list of Cut
-        One for each cluster.
-    """
+    """Find where each cluster is cut, as `dynahull.removal` does on arrays, by N_i and R_i."""
     find = _cut_by_rank if threshold == "rank" else _cut_by_steps
     return [
         find(tiles, cluster, count, percentage)

@@ -73,10 +73,7 @@ class InProcess:
 class OnDask:
     """Runs tasks on the workers of a Dask scheduler.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        Of which only `submit` and the number of workers are used.
+    Of the client only `submit` and the number of workers are used.
     """
 
     def __init__(self, client: Any) -> None:
