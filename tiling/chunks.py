@@ -259,16 +259,9 @@ _SCALES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 2.0**-4, 2.0**-8, 2.0**-12, 2.0**-16, 2
 
 
 def grid_of(collection: MapCollection, survey: Survey) -> Grid:
-    """Find a grid that gives every finite coordinate of a map back.
+    """Find a grid that gives every finite coordinate of a map, which was surveyed, back.
 
     It is the map's own if it is LAS on one grid; any other map is read until no grid is left.
-
-    Parameters
-    ----------
-    collection : MapCollection
-        The map.
-    survey : Survey
-        Of the whole map.
 
     Raises
     ------

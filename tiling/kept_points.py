@@ -59,12 +59,7 @@ class KeptPoints:
         make_sized(self.path, self.size)
 
     def keep(self, batches: Iterator[tuple[int, PointBatch]]) -> Iterator[PointBatch]:
-        """Write points as they pass; they are on the disk at the end.
-
-        Parameters
-        ----------
-        batches : iterator of (int, PointBatch)
-            As `MapCollection.batches` yields them.
+        """Write points of `MapCollection.batches` as they pass; they are on the disk at the end.
 
         Raises
         ------

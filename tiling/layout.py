@@ -97,17 +97,9 @@ class Layout:
         return np.flatnonzero(self.counts > max_points)
 
     def tile_of(self, xyz: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return the tile whose core each point lies in.
+        """Return the tile whose core each point of the map lies in, (n,) int32.
 
-        Parameters
-        ----------
-        xyz : (n, 3) float64 array
-            Points of the map that was surveyed.
-
-        Returns
-        -------
-        (n,) int32 array
-            Index of the tile; `NO_TILE` where a coordinate is not finite.
+        It is `NO_TILE` where a coordinate is not finite.
         """
         tiles = np.empty(len(xyz), np.int32)
         _find_tiles(xyz, 1 / self.cell, self.origin, self.begins, self.ends, tiles)
@@ -144,19 +136,9 @@ class Layout:
 
 
 def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
-    """Cut a map into tiles of at most so many points.
+    """Cut a map into tiles of at most so many points, none of which is empty.
 
-    Parameters
-    ----------
-    occupancy : Occupancy
-        Of the whole map.
-    max_points : int
-        Points in a core, at most; a single column that holds more stays whole.
-
-    Returns
-    -------
-    Layout
-        Without empty tiles; no tiles for a map without finite points.
+    A single column that holds more stays whole. A map without finite points has no tiles.
     """
     if not len(occupancy.counts):
         nothing = np.empty((0, 2), np.int64)
@@ -295,13 +277,8 @@ _SPREADS = (
 def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
     """Return the order of columns along the Z curve (Morton 1966), (n,): near in it is near.
 
-    The order is that of the bits of x and y taken in turn, from the highest, those of x first. So
-    every node of a quadtree over the lattice is one run of it.
-
-    Parameters
-    ----------
-    columns : (n, 2) int64 array
-        From 0 to 2^62.
+    The order is that of the bits of x and y, from 0 to 2^62, taken in turn, from the highest, those
+    of x first. So every node of a quadtree over the lattice is one run of it.
     """
     low = _interleaved(columns & (1 << _HALF) - 1)
     if columns.max(initial=0) >> _HALF == 0:

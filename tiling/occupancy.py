@@ -68,10 +68,7 @@ def count_within(
 ) -> NDArray[np.int64]:
     """Count the points in boxes, (n,), a column counting whole where its middle is inside.
 
-    Parameters
-    ----------
-    low, high : (n, 2) float64 arrays
-        The boxes: low <= x, y < high, metres; may be infinite.
+    The boxes are low <= x, y < high, (n, 2), metres; they may be infinite.
     """
     totals = np.append(0, np.cumsum(occupancy.counts))
     begins, ends = (_first_columns(edge, occupancy.cell) for edge in (low, high))

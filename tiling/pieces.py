@@ -29,14 +29,7 @@ class PointSource(Protocol):
 def sort_by_tile(
     store: ChunkStore, source: PointSource, rows: range
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return a piece: points, (n, 4), and runs, (R, 3).
-
-    Parameters
-    ----------
-    source : PointSource
-        The map.
-    rows : range
-        Consecutive row numbers.
+    """Return a piece of consecutive rows of the map: points, (n, 4), and runs, (R, 3).
 
     Raises
     ------
@@ -87,12 +80,8 @@ Boxes = tuple[Points, Points]
 class TileSorter:
     """Sorts points by tile: once for the tile whose core they are in, and once for each halo.
 
-    Positions are counted first and filled then, so that no list of points grows.
-
-    Parameters
-    ----------
-    halo : float
-        Metres.
+    Positions are counted first and filled then, so that no list of points grows. The halo is in
+    metres.
     """
 
     def __init__(self, layout: Layout, halo: float) -> None:

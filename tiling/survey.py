@@ -69,14 +69,7 @@ class Survey:
 
 
 def survey(collection: MapCollection, rows: range | None = None) -> Survey:
-    """Survey a map, or some rows of it.
-
-    Parameters
-    ----------
-    collection : MapCollection
-        The map.
-    rows : range, optional
-        Consecutive row numbers; otherwise all.
+    """Survey a map, or some consecutive rows of it.
 
     Raises
     ------

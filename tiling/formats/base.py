@@ -312,15 +312,7 @@ class ExtendedFormat(ABC):
 
 
 class TextWriter(MapWriter):
-    """Writes rows as they stood in the file they come from.
-
-    Parameters
-    ----------
-    path, point_count
-        As for `MapWriter`.
-    head : bytes
-        What stands before them.
-    """
+    """Writes rows as they stood in the file they come from, after what stands before them there."""
 
     def __init__(self, path: Path, point_count: int, head: bytes) -> None:
         super().__init__(path, point_count)

@@ -18,15 +18,7 @@ if TYPE_CHECKING:
 
 
 class ExtendedRecords(ExtendedFormat):
-    """Records that are packed bytes: the values follow, packed, in the file's byte order.
-
-    Parameters
-    ----------
-    model, fields
-        As for `ExtendedFormat`.
-    byte_order : str
-        `"<"` or `">"`.
-    """
+    """Records that are packed bytes: the values follow, packed, in the file's byte order."""
 
     def __init__(self, model: MapReader, fields: Sequence[Field], byte_order: str = "<") -> None:
         super().__init__(model, fields)
@@ -46,15 +38,7 @@ class ExtendedRecords(ExtendedFormat):
 
 
 class ExtendedText(ExtendedFormat):
-    """Rows of text: the values follow on the line, in as many digits as tell them from others.
-
-    Parameters
-    ----------
-    model, fields
-        As for `ExtendedFormat`.
-    separator : bytes
-        Between two values.
-    """
+    """Rows of text: the values follow on the line, in as many digits as tell them from others."""
 
     def __init__(self, model: MapReader, fields: Sequence[Field], separator: bytes = b" ") -> None:
         super().__init__(model, fields)
@@ -85,13 +69,7 @@ def packed(
 
 
 def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
-    """Put the bytes of each of some records before those of the record beside it, (n,).
-
-    Parameters
-    ----------
-    head, tail : (n,) arrays
-        Of any fixed-size types.
-    """
+    """Put the bytes of each of some records before those of the record beside it, (n,)."""
     rows = np.empty((len(head), head.dtype.itemsize + tail.dtype.itemsize), dtype=np.uint8)
     rows[:, : head.dtype.itemsize] = bytes_of(head)
     rows[:, head.dtype.itemsize :] = bytes_of(tail)

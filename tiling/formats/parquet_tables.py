@@ -28,10 +28,7 @@ from tiling.formats.points import COORDINATES, coordinate_names
 def open_parquet(path: Path, **options: Any) -> Iterator[pq.ParquetFile]:
     """Open a Parquet file of any name: Arrow itself takes names that are UTF-8, and no others.
 
-    Parameters
-    ----------
-    options
-        Of `pyarrow.parquet.ParquetFile`.
+    The options are those of `pyarrow.parquet.ParquetFile`.
     """
     with pa.OSFile(os.fsencode(path), "rb") as source, pq.ParquetFile(source, **options) as file:
         yield file
@@ -61,19 +58,9 @@ class PointColumns:
 
 
 def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumns | None:
-    """Find the coordinates in a table.
+    """Find the coordinates in a table; return None where no columns could hold them.
 
-    Parameters
-    ----------
-    geo : bytes or None
-        GeoParquet's description of the table, if there is one.
-    path : Path
-        The file, for messages.
-
-    Returns
-    -------
-    PointColumns or None
-        None where there are no columns that could hold them.
+    GeoParquet's description of the table is `geo`, if there is one.
 
     Raises
     ------

@@ -61,13 +61,6 @@ class PartWriter(ABC):
     One process calls `create`; then each writes its parts; and when all are written, one process
     calls `finish` with the summaries of all. The object remembers nothing of these calls: each may
     be made on another that was made alike.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    point_count : int
-        Points it will hold.
     """
 
     def __init__(self, path: Path, point_count: int) -> None:
@@ -132,14 +125,9 @@ class PartWriter(ABC):
 
 
 class MapPart:
-    """Some consecutive points of an output, written as a stream.
+    """Some consecutive points of an output, from its row `first` on, written as a stream.
 
     A context manager that closes the file. `summary` is whole when all points are written.
-
-    Parameters
-    ----------
-    first : int
-        Row number, in the output, of the first point.
     """
 
     def __init__(self, writer: PartWriter, first: int) -> None:

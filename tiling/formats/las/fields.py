@@ -158,15 +158,7 @@ _LARGEST = 0xFFFF
 
 
 class ExtendedLas(ExtendedFormat):
-    """LAS or LAZ files of points with further extra bytes.
-
-    Parameters
-    ----------
-    model, fields
-        As for `ExtendedFormat`.
-    header : LasHeader
-        Of the points that are extended.
-    """
+    """LAS or LAZ files of points, of a file with this header, with further extra bytes."""
 
     def __init__(self, model: MapReader, fields: Sequence[Field], header: LasHeader) -> None:
         super().__init__(model, fields)
@@ -190,17 +182,10 @@ class ExtendedLas(ExtendedFormat):
 
 
 def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
-    """Return the header of points with further extra bytes, and the VLRs that these need.
+    """Return the header of a file's points with further extra bytes, and the VLRs that these need.
 
     The VLR of extra bytes gets a descriptor for each field; one is made where there is none, and of
     several. That of LASzip, which lists the bytes of a point, is written anew.
-
-    Parameters
-    ----------
-    header : LasHeader
-        Of the file whose points are extended.
-    fields : sequence of Field
-        Each of one value.
 
     Raises
     ------

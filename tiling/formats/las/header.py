@@ -129,11 +129,6 @@ class LasHeader:
 def read_header(path: Path) -> LasHeader:
     """Read and check everything of a LAS or LAZ file but its points.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError

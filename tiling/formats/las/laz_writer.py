@@ -29,18 +29,8 @@ _LAYERED_WAVE_PACKETS = (9, 10)
 class LazWriter(MapWriter):
     """Writes raw point records, compressed, under the header of the file they come from.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    point_count : int
-        Points it will hold.
-    header : LasHeader
-        Of the file that the points come from; it must still be there.
-    compression : Compression
-        How that file's points are compressed.
-    threads : int
-        That may compress at a time, see `usable_threads`. The file does not depend on it.
+    That file must still be there, and its points are compressed in the same way. The threads, see
+    `usable_threads`, change nothing about what is written.
     """
 
     def __init__(

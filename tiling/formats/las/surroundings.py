@@ -154,14 +154,10 @@ def is_copc_index(record: VariableLengthRecord) -> bool:
 
 
 class LasSurroundings:
-    """The bytes before and after the points of an output.
+    """The bytes before and after the points of an output: those of an input.
 
-    Parameters
-    ----------
-    header : LasHeader
-        Of the input; the file must still be there when what follows the points is copied.
-    laszip : bytes, optional
-        Data of the output's laszip VLR, if they are not the input's.
+    That file must still be there when what follows the points is copied. The data of the laszip VLR
+    are those of the output, if they are not the input's.
     """
 
     def __init__(self, header: LasHeader, laszip: bytes | None = None) -> None:
@@ -195,12 +191,7 @@ class LasSurroundings:
     def completed_header(self, points_end: int, summary: LasSummary) -> bytes:
         """Return the header and VLRs with what depends on the points.
 
-        Parameters
-        ----------
-        points_end : int
-            Byte after the points, where EVLRs and waveform packets begin.
-        summary : LasSummary
-            Of all points.
+        EVLRs and waveform packets begin where these end.
         """
         block = bytearray(self._block)
         self._place_what_follows(block, points_end)
@@ -230,14 +221,7 @@ class LasSurroundings:
 class LasPartWriter(PartWriter):
     """Writes raw, uncompressed point records under the header of the file they come from.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    point_count : int
-        Points it will hold.
-    header : LasHeader
-        Of the file that the points come from; it must still be there.
+    That file must still be there.
     """
 
     def __init__(self, path: Path, point_count: int, header: LasHeader) -> None:

@@ -207,15 +207,9 @@ def _put_literals(block: Bytes, start: int, stop: int, packed: Bytes, written: i
 class ColumnSpool:
     """Fixed-size records of points, kept on disk as columns, as compressed files hold them.
 
-    The file lies in the folder for temporary files (`TMPDIR`), has no name, and is gone when it
-    is closed, or when the process ends for whatever reason. A context manager that closes it.
-
-    Parameters
-    ----------
-    widths : sequence of int
-        Bytes that each column takes in a record.
-    point_count : int
-        Points that the file is for.
+    Widths are bytes of each column in a record. The file lies in the folder for temporary files
+    (`TMPDIR`), has no name, and is gone when it is closed, or when the process ends for whatever
+    reason. A context manager that closes it.
     """
 
     def __init__(self, widths: Sequence[int], point_count: int) -> None:

@@ -285,13 +285,7 @@ class PcdReader(MapReader):
 
 
 class PcdBinaryParts(PartWriter):
-    """Writes records of one size, each to its place.
-
-    Parameters
-    ----------
-    path, point_count, header
-        As for `PcdCompressedWriter`.
-    """
+    """Writes records of one size, each to its place."""
 
     def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
         super().__init__(path, point_count)
@@ -310,14 +304,8 @@ class PcdBinaryParts(PartWriter):
 class PcdCompressedWriter(MapWriter):
     """Collects columns in a temporary file, and compresses them in the end.
 
-    Parameters
-    ----------
-    point_count : int
-        Points that it will hold.
-    header : PcdHeader
-        Of the file that serves as the model.
-    widths : tuple of int
-        Bytes that each column takes in a record.
+    The header is that of the file that serves as the model; widths are bytes of each column in a
+    record.
     """
 
     def __init__(
