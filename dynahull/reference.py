@@ -1,5 +1,7 @@
 """Steps 3 and 4 plainly, with a k-d tree and Qhull: what the fast code is compared with."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -106,7 +108,25 @@ def nearest_neighbours(
     return neighbours
 
 
-CENTRES_AT_A_TIME = 50_000
+_AT_A_TIME = 50_000
+"""Centres."""
+
+
+def neighbourhoods(
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    k: int,
+    centres: NDArray[np.float64],
+    observer: Observer | None = None,
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the nearest points of each centre as seen from it; parameters as for the densities."""
+    for start in range(0, len(centres), _AT_A_TIME):
+        batch = centres[start : start + _AT_A_TIME]
+        nearest = nearest_neighbours(points, rows, k, batch)
+        for centre, neighbours in zip(batch, nearest, strict=True):
+            yield points[neighbours] - centre
+        if observer:
+            observer.advance(len(batch))
 
 
 def reference_densities(
@@ -138,12 +158,7 @@ def reference_densities(
     """
     centres = points if centres is None else centres
     density = np.empty(len(centres))
-    for start in range(0, len(centres), CENTRES_AT_A_TIME):
-        batch = centres[start : start + CENTRES_AT_A_TIME]
-        neighbourhoods = nearest_neighbours(points, rows, k, batch)
-        for slot, (centre, neighbours) in enumerate(zip(batch, neighbourhoods, strict=True), start):
-            volume = hull_volume(points[neighbours] - centre)
-            density[slot] = len(neighbours) / volume if volume > 0 else np.inf
-        if observer:
-            observer.advance(len(batch))
+    for slot, around in enumerate(neighbourhoods(points, rows, k, centres, observer)):
+        volume = hull_volume(around)
+        density[slot] = len(around) / volume if volume > 0 else np.inf
     return density
