@@ -83,17 +83,9 @@ def sample_rows(
 
 
 def fit_clusters(sample: NDArray[np.float64], parameters: ClusteringParameters) -> Clusters:
-    """Fit MiniBatchKMeans on a sample of the ground-free points.
+    """Fit MiniBatchKMeans on a sample of ground-free points, (n, 3), in the order of their rows.
 
-    Parameters
-    ----------
-    sample : (n, 3) float64 array
-        In the order of row numbers.
-
-    Returns
-    -------
-    Clusters
-        As many as asked for, or as there are distinct points in the sample if those are fewer.
+    There are as many clusters as asked for, or as distinct points in the sample if those are fewer.
     """
     count = _distinct_points(sample, parameters.count)
     if count == 0:

@@ -211,15 +211,10 @@ class MethodParameters(BaseModel, extra="forbid", frozen=True):
 
 
 def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
-    """Say what is wrong in one line, with the nearest allowed name where a key is unknown.
+    """Say what a model refused in one line, with the nearest allowed name where a key is unknown.
 
-    Parameters
-    ----------
-    invalid : ValidationError
-        Its first error is told; an unknown key before all others, as a key that is misspelt may be
-        missing as well.
-    model : type of BaseModel
-        The model that refused.
+    The first error is told; an unknown key before all others, as a key that is misspelt may be
+    missing as well.
     """
     errors = invalid.errors()
     error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])

@@ -109,15 +109,7 @@ def remove_least_dense(
 
 
 def remove_likely(score: NDArray[np.float32], confidence: float) -> Removal:
-    """Find the points of one cluster whose evidence says that they moved.
-
-    Parameters
-    ----------
-    score : (n,) float32 array
-        Probability of having moved; NaN is kept.
-    confidence : float
-        The least probability that goes.
-    """
+    """Find the points of one cluster whose evidence says that they moved: NaN is kept."""
     return Removal(np.asarray(score >= confidence), None)
 
 

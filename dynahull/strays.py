@@ -58,13 +58,7 @@ class Strays:
 
 
 class Outskirts:
-    """What must be known of points to tell strays.
-
-    Parameters
-    ----------
-    k : int
-        `neighbours.k`: so many of the outermost points of each side are held.
-    """
+    """What must be known of points to tell strays: counts, and the k outermost of each side."""
 
     def __init__(self, k: int) -> None:
         self._most = k
@@ -81,16 +75,7 @@ class Outskirts:
         first_row: int = 0,
         chosen: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Take points of consecutive rows into account.
-
-        Parameters
-        ----------
-        points : (n, 3) float64 array
-        first_row : int
-            Row number of the first of them.
-        chosen : (n,) bool array, optional
-            Those that take part, which are finite; all by default.
-        """
+        """Take points of consecutive rows, (n, 3), into account: the chosen, all finite, or all."""
         start = 0
         while start < len(points):
             # Of the first points, all are the outermost so far.

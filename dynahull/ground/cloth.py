@@ -36,12 +36,7 @@ def cloth_library() -> Any:
 
 
 def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
-    """Tell which points lie on a cloth that falls on the map turned upside down.
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-        Finite coordinates, metres.
+    """Tell which points, (N, 3), lie on a cloth that falls on the map turned upside down.
 
     Raises
     ------

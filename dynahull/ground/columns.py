@@ -46,15 +46,7 @@ class Columns(NamedTuple):
 
 
 def sort_columns(points: Floats, cell: float, threads: int = 1) -> Columns:
-    """Sort points by their cell and their height.
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-        Metres.
-    cell : float
-        Side of a cell, metres.
-    """
+    """Sort points, (N, 3), by their cell and their height, all in metres."""
     numbers, cells = number_columns(points, cell, threads)
     starts = starts_of(numbers, len(cells))
     columns = Columns(np.empty(len(points)), np.empty(len(points), np.int64), starts, cells)

@@ -22,19 +22,7 @@ _FOOT_HEIGHT = 0.3
 def decide(
     points: Floats, columns: Columns, surface: Surface, p: SlopeParameters, threads: int = 1
 ) -> Booleans:
-    """Tell which points are ground, (N,).
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-        Metres.
-    columns : Columns
-        The same points by cell.
-    surface : Surface
-        Of the ground, over the columns' cells.
-    p : SlopeParameters
-        The tolerances, `steepest`, `cell` and `foot` are used.
-    """
+    """Tell which points are ground, (N,): those near the surface over their columns."""
     ground = np.zeros(len(points), np.bool_)
     tolerances = np.array(
         [

@@ -66,8 +66,6 @@ def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -
     ----------
     points : (N, 2 or more) float64 array
         Finite coordinates, metres; x and y are used.
-    cell : float
-        Side of a cell, metres.
     reach : float
         Metres; the widest window that will be read about a cell.
     """

@@ -49,11 +49,6 @@ def find_levels(
     hold no more than `clutter` times its own points; of layers that overlap the fullest stands,
     the lowest if equal. The lowest layer of a column is a level in any case: what stands on a
     floor hides none of the lowest floor.
-
-    Parameters
-    ----------
-    thickness, clearance : float
-        Metres.
     """
     found = over_ranges(
         lambda first, end: _find_levels(

@@ -60,7 +60,10 @@ def compile_once() -> None:
 def slope_ground(
     points: Floats, p: SlopeParameters, threads: int = 1, around: GroundSummary | None = None
 ) -> Booleans:
-    """Tell which points are ground.
+    """Tell which points are ground, (N,).
+
+    The answer is the same for any order of the points, for any number of threads, and for any part
+    of a map that holds, with a point, all those of its column within a quarter of a cell.
 
     Parameters
     ----------
@@ -68,12 +71,6 @@ def slope_ground(
         Finite coordinates, metres.
     around : GroundSummary, optional
         Of all columns within `ground_radius` of the points; by default these are all.
-
-    Returns
-    -------
-    (N,) bool array
-        The same for any order of the points, and for any part of a map that holds, with a point,
-        all those of its column within a quarter of a cell.
     """
     columns = sort_columns(points, p.expert.cell, threads)
     around = summarise(columns, p, threads) if around is None else around

@@ -61,10 +61,6 @@ def fit_surface(
 
     Parameters
     ----------
-    levels : Levels
-        Those of the ground.
-    lattice : Lattice
-        Where their columns are.
     wanted : (cells,) int64 array
         Slots to fit planes for.
     extension : float
