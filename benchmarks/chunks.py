@@ -13,10 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from tiling.chunk_store import ChunkStore
-from tiling.chunks import read_chunk, write_chunk
+from tiling.chunks import ChunkStore, grid_of, read_chunk, write_chunk
 from tiling.collection import MapCollection, find_map_files
-from tiling.common_grid import grid_of
 from tiling.layout import quadtree
 from tiling.pieces import gathered, sort_by_tile
 from tiling.survey import survey

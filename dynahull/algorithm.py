@@ -27,8 +27,7 @@ from dynahull.labels import Label
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
 from dynahull.protection import protected_points
-from dynahull.removal import Removal, remove_least_dense, remove_likely
-from dynahull.rescale import removal_percentages
+from dynahull.removal import Removal, removal_percentages, remove_least_dense, remove_likely
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary
 from dynahull.strays import Outskirts, is_at_origin, warn_of_strays
 from dynahull.warn import (
@@ -43,19 +42,30 @@ from dynahull.warn import (
 
 
 class SetAside(NamedTuple):
-    """What is not scored, and why.
-
-    Attributes
-    ----------
-    ground, above : (N,) bool arrays
-        Disjoint; `above` is higher than `max_height`.
-    height : (N,) float64 array
-        Above the local ground, metres; NaN where none is near, or nobody asked.
-    """
+    """What is not scored, and why."""
 
     ground: NDArray[np.bool_]
     above: NDArray[np.bool_]
+    """(N,): disjoint; `above` is higher than `max_height`."""
     height: NDArray[np.float64]
+    """(N,): above the local ground, metres; NaN where none is near, or nobody asked."""
+
+
+class _Given(NamedTuple):
+    """A map, what is said of it, and how it is to be cleaned: all of it checked."""
+
+    points: NDArray[np.float64]
+    """(N, 3)"""
+    classes: NDArray[np.uint8] | None
+    left_out: NDArray[np.bool_] | None
+    protected: NDArray[np.bool_]
+    """(N,): never removed."""
+    scans: NDArray[np.int32] | None
+    sensor: NDArray[np.float64] | None
+    """(S, 3): where it was in each scan."""
+    parameters: MethodParameters
+    threads: int
+    observer: Observer
 
 
 def clean(
@@ -73,45 +83,32 @@ def clean(
 ) -> CleaningResult:
     """Label every point of a map: static, dynamic, ground and so on.
 
-    The body is Algorithm 1 of the paper.
-
     Parameters
     ----------
     points : (N, 3) array_like, or a cloud of Open3D, laspy, PyTorch or pandas
-        The map, in metres; NaN and infinite coordinates are allowed and labelled invalid.
+        The map, in metres; NaN and infinite coordinates are labelled invalid.
     parameters : MethodParameters, dict or str, optional
-        All parameters, or the name of a ready configuration (`"paper"`, `"auto"`, `"indoor"`,
-        `"outdoor"`); those of the paper by default.
+        All, or the name of a ready configuration: `"paper"`, `"auto"`, `"indoor"`, `"outdoor"`.
     classification : (N,) array_like of int, optional
         ASPRS classes, for `ground.method: las_class`.
-    left_out : (N,) array_like of bool, optional
-        Points that are known to be noise: they decide nothing, and are labelled unscored.
-    protected : (N,) array_like of bool, optional
-        Points that are never removed, beside those of `removal.protect`.
+    left_out, protected : (N,) array_like of bool, optional
+        Noise, which decides nothing and is labelled unscored; and what is never removed.
     scan : (N,) array_like of int, optional
         The scan in which each point was seen, numbered from 0 in the order of time, some 0.1 s
         apart; -1 where it is not known. Only `removal.decision: auto` looks at it.
     poses : (S, 3), (S, 3, 4) or (S, 4, 4) array_like, optional
-        Where the sensor was in each scan, in the map's frame, metres: positions, or poses from the
-        sensor's frame. `scan` numbers its rows. Places that scans saw through are told by it.
+        Where the sensor was in each scan, in the map's frame, metres: positions or poses.
     threads : int
-        Threads of ground, clustering and density. The result does not depend on it.
+        The result does not depend on them.
     observer : Observer, optional
         Told about stages, progress and warnings.
     **sections
-        Single sections in place of `parameters`, as models or dictionaries:
-        `clean(points, neighbours={"k": 50})`.
-
-    Returns
-    -------
-    CleaningResult
+        Single sections in place of `parameters`: `clean(points, neighbours={"k": 50})`.
 
     Raises
     ------
-    InvalidPointsError
-        When `points` is not an (N, 3) array of real numbers, or what is said of them does not fit.
-    InvalidParametersError
-        When a section or a key is unknown, or a value not allowed.
+    InvalidPointsError, InvalidParametersError
+        When these are anything else.
 
     Examples
     --------
@@ -120,55 +117,56 @@ def clean(
     >>> result = dynahull.clean(room, ground={"method": "none"})
     >>> cleaned = room[result.kept]
     """
-    coordinates = checked_points(points)
-    classes = None if classification is None else checked_classes(classification, len(coordinates))
-    noise = None if left_out is None else checked_mask(left_out, len(coordinates))
-    scans = None if scan is None else checked_scans(scan, len(coordinates))
-    sensor = None if poses is None else checked_poses(poses, scans)
-    parameters = MethodParameters.chosen(parameters, sections)
-    chosen = parameters.removal
-    safe = protected_points(coordinates, classes, chosen.protect_classes, chosen.protect)
-    if protected is not None:
-        safe |= checked_mask(protected, len(coordinates), "protected")
-    threads = checked_threads(threads)
-    observer = SilentObserver() if observer is None else checked_observer(observer)
+    chosen = MethodParameters.chosen(parameters, sections)
+    said = classification, left_out, protected, scan, poses
+    return _algorithm_1(_checked(points, *said, chosen, threads, observer))
 
-    labels = _first_labels(coordinates, noise, parameters.neighbours.k, observer)
-    seen = labels == Label.STATIC
-    aside = set_ground_aside(coordinates, seen, parameters, classes, observer, threads=threads)
-    total = int(np.count_nonzero(seen))
-    warn_of_ground(int(np.count_nonzero(aside.ground)), total, parameters.ground.method, observer)
-    rows = np.flatnonzero(seen & ~aside.ground & ~aside.above)
-    clusters = find_clusters(coordinates.take(rows, axis=0), rows, total, parameters, observer)
-    membership = _membership(clusters, coordinates, rows, threads)
-    warn_of_clusters([len(members) for members in membership], parameters, observer)
-    densities, spreads = _densities(coordinates, membership, parameters, threads, observer)
-    percentages = removal_percentages(
-        [len(members) for members in membership],
-        parameters.removal.min_percent,
-        parameters.removal.max_percent,
-        parameters.neighbours.k,
-    )
-    density = _scattered(np.full(len(coordinates), np.nan), membership, densities)
-    judged = Judged.nothing(len(coordinates))
-    if parameters.removal.weighs_evidence:
-        judged = _weighed(coordinates, rows, density, membership, spreads, aside, scans, sensor,
-                          parameters, threads, observer)  # fmt: skip
-    removals = _removals(density, judged, membership, percentages, parameters, safe, observer)
-    summaries = _summaries(clusters, membership, percentages, removals)
-    if parameters.removal.weighs_evidence:
-        warn_of_much_removed(summaries, observer)
+
+def _algorithm_1(given: _Given) -> CleaningResult:
+    """Clean a map as Algorithm 1 of the paper does."""
+    labels = _first_labels(given)
+    aside = _set_aside(given, labels == Label.STATIC)
+    rows = np.flatnonzero((labels == Label.STATIC) & ~aside.ground & ~aside.above)
+    clusters, membership = _clusters(given, rows, labels)
+    density, spreads = _densities(given, membership)
+    judged = _judged(given, rows, density, spreads, membership, aside)
+    percentages = _percentages(given, membership)
+    removals = _removals(given, density, judged, membership, percentages)
+    cluster = np.full(len(labels), NO_CLUSTER, np.int32)
     return CleaningResult(
         labels=_merged_labels(labels, aside, membership, removals),
-        protected=safe,
+        protected=given.protected,
         density=density,
         score=judged.score,
         reason=judged.reason,
-        cluster=_scattered(
-            np.full(len(coordinates), NO_CLUSTER, np.int32), membership, range(len(membership))
-        ),
-        clusters=summaries,
+        cluster=_scattered(cluster, membership, range(len(membership))),
+        clusters=_summaries(given, clusters, membership, percentages, removals),
     )
+
+
+def _checked(
+    points: ArrayLike,
+    classification: ArrayLike | None,
+    left_out: ArrayLike | None,
+    protected: ArrayLike | None,
+    scan: ArrayLike | None,
+    poses: ArrayLike | None,
+    parameters: MethodParameters,
+    threads: int,
+    observer: Observer | None,
+) -> _Given:
+    xyz = checked_points(points)
+    classes = None if classification is None else checked_classes(classification, len(xyz))
+    noise = None if left_out is None else checked_mask(left_out, len(xyz))
+    scans = None if scan is None else checked_scans(scan, len(xyz))
+    sensor = None if poses is None else checked_poses(poses, scans)
+    removal = parameters.removal
+    safe = protected_points(xyz, classes, removal.protect_classes, removal.protect)
+    if protected is not None:
+        safe |= checked_mask(protected, len(xyz), "protected")
+    threads = checked_threads(threads)
+    observer = SilentObserver() if observer is None else checked_observer(observer)
+    return _Given(xyz, classes, noise, safe, scans, sensor, parameters, threads, observer)
 
 
 def set_ground_aside(
@@ -197,24 +195,28 @@ def set_ground_aside(
     return SetAside(ground, above, height)
 
 
-def _first_labels(
-    points: NDArray[np.float64],
-    left_out: NDArray[np.bool_] | None,
-    k: int,
-    observer: Observer,
-) -> NDArray[np.uint8]:
+def _set_aside(given: _Given, seen: NDArray[np.bool_]) -> SetAside:
+    points, parameters, observer = given.points, given.parameters, given.observer
+    classes, threads = given.classes, given.threads
+    aside = set_ground_aside(points, seen, parameters, classes, observer, threads=threads)
+    ground, total = int(np.count_nonzero(aside.ground)), int(np.count_nonzero(seen))
+    warn_of_ground(ground, total, parameters.ground.method, observer)
+    return aside
+
+
+def _first_labels(given: _Given) -> NDArray[np.uint8]:
     """Label the points that decide nothing, each by its reason; all others are static so far."""
-    seen = valid_points(points)
+    seen = valid_points(given.points)
     labels = np.where(seen, Label.STATIC, Label.INVALID).astype(np.uint8)
-    if left_out is not None:
-        labels[seen & left_out] = Label.UNSCORED
-        seen = seen & ~left_out
-    outskirts = Outskirts(k)
-    outskirts.add(points, chosen=seen)
+    if given.left_out is not None:
+        labels[seen & given.left_out] = Label.UNSCORED
+        seen = seen & ~given.left_out
+    outskirts = Outskirts(given.parameters.neighbours.k)
+    outskirts.add(given.points, chosen=seen)
     strays = outskirts.strays()
-    warn_of_strays(strays.heap, len(strays.rows), observer)
+    warn_of_strays(strays.heap, len(strays.rows), given.observer)
     if strays.heap:
-        labels[seen & is_at_origin(points)] = Label.INVALID
+        labels[seen & is_at_origin(given.points)] = Label.INVALID
     labels[strays.rows] = Label.UNSCORED
     return labels
 
@@ -234,54 +236,57 @@ def find_clusters(
     return clusters
 
 
-def _membership(
-    clusters: Clusters, points: NDArray[np.float64], rows: NDArray[np.int64], threads: int
-) -> list[NDArray[np.int64]]:
-    """Return the rows of each cluster, in order."""
-    nearest = clusters.nearest(points.take(rows, axis=0), threads=threads)
+def _clusters(
+    given: _Given, rows: NDArray[np.int64], labels: NDArray[np.uint8]
+) -> tuple[Clusters, list[NDArray[np.int64]]]:
+    """Return the clusters of some points, and the rows of each, in order."""
+    total = int(np.count_nonzero(labels == Label.STATIC))
+    points = given.points.take(rows, axis=0)
+    clusters = find_clusters(points, rows, total, given.parameters, given.observer)
+    nearest = clusters.nearest(points, threads=given.threads)
     order = np.argsort(nearest.astype(np.int16), kind="stable")  # short integers: a radix sort
     ends = np.cumsum(np.bincount(nearest, minlength=len(clusters.centroids)))
-    return np.split(rows[order], ends[:-1]) if len(ends) else []
+    membership = np.split(rows[order], ends[:-1]) if len(ends) else []
+    counts = [len(members) for members in membership]
+    warn_of_clusters(counts, given.parameters, given.observer)
+    return clusters, membership
 
 
 def _densities(
-    points: NDArray[np.float64],
-    membership: Sequence[NDArray[np.int64]],
-    parameters: MethodParameters,
-    threads: int,
-    observer: Observer,
-) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float32]]]:
-    """Return the densities of each cluster, and how its neighbourhoods are spread."""
+    given: _Given, membership: Sequence[NDArray[np.int64]]
+) -> tuple[NDArray[np.float64], list[NDArray[np.float32]]]:
+    """Return the density of each point, and how the neighbourhoods of each cluster are spread."""
+    points, parameters, observer = given.points, given.parameters, given.observer
     observer.stage("density", sum(len(members) for members in membership))
     found = [
-        cluster_densities(points.take(members, axis=0), members, parameters, threads, observer)
+        cluster_densities(
+            points.take(members, axis=0), members, parameters, given.threads, observer
+        )
         for members in membership
     ]
-    return [density for density, _ in found], [spread for _, spread in found]
+    densities, spreads = [density for density, _ in found], [spread for _, spread in found]
+    return _scattered(np.full(len(points), np.nan), membership, densities), spreads
 
 
-def _weighed(
-    points: NDArray[np.float64],
+def _judged(
+    given: _Given,
     rows: NDArray[np.int64],
     density: NDArray[np.float64],
-    membership: Sequence[NDArray[np.int64]],
     spreads: Sequence[NDArray[np.float32]],
+    membership: Sequence[NDArray[np.int64]],
     aside: SetAside,
-    scans: NDArray[np.int32] | None,
-    sensor: NDArray[np.float64] | None,
-    parameters: MethodParameters,
-    threads: int,
-    observer: Observer,
 ) -> Judged:
-    """Weigh the evidence for each scored point, in rows; all others are not judged."""
-    observer.stage("evidence", len(rows))
+    """Weigh the evidence for each scored point, if it decides; all others are not judged."""
+    points, scans = given.points, given.scans
+    judged = Judged.nothing(len(points))
+    if not given.parameters.removal.weighs_evidence:
+        return judged
+    given.observer.stage("evidence", len(rows))
     viewpoints = None
-    if scans is not None:
-        viewpoints = (
-            Viewpoints.of_counts([count_coordinates(points, scans, 0)])
-            if sensor is None
-            else Viewpoints.of_poses(sensor)
-        )
+    if given.sensor is not None:
+        viewpoints = Viewpoints.of_poses(given.sensor)
+    elif scans is not None:
+        viewpoints = Viewpoints.of_counts([count_coordinates(points, scans, 0)])
     spread = _scattered(
         np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
     )
@@ -292,38 +297,41 @@ def _weighed(
         aside.height[rows],
         None if scans is None else scans[rows],
     )
-    warn_of_sparse_map(wide_neighbourhoods(scored.spread), len(rows), observer)
+    warn_of_sparse_map(wide_neighbourhoods(scored.spread), len(rows), given.observer)
     unscored = aside.ground | aside.above
     their_scans = None if scans is None else scans[unscored]
-    k = parameters.neighbours.k
-    found = judge_points(scored, points[unscored], k, threads, their_scans, viewpoints)
-    judged = Judged.nothing(len(points))
+    k = given.parameters.neighbours.k
+    found = judge_points(scored, points[unscored], k, given.threads, their_scans, viewpoints)
     judged.score[rows], judged.reason[rows] = found.score, found.reason
-    observer.advance(len(rows))
+    given.observer.advance(len(rows))
     return judged
 
 
+def _percentages(given: _Given, membership: Sequence[NDArray[np.int64]]) -> tuple[Fraction, ...]:
+    removal, k = given.parameters.removal, given.parameters.neighbours.k
+    counts = [len(members) for members in membership]
+    return removal_percentages(counts, removal.min_percent, removal.max_percent, k)
+
+
 def _removals(
+    given: _Given,
     density: NDArray[np.float64],
     judged: Judged,
     membership: Sequence[NDArray[np.int64]],
     percentages: Sequence[Fraction],
-    parameters: MethodParameters,
-    safe: NDArray[np.bool_],
-    observer: Observer,
 ) -> list[Removal]:
     """Decide what goes of each cluster; what is protected stays."""
-    removal = parameters.removal
+    removal = given.parameters.removal
     if removal.weighs_evidence:
         found = [remove_likely(judged.score[members], removal.confidence) for members in membership]
     else:
-        warn_of_densities(density_levels(density), observer)
+        warn_of_densities(density_levels(density), given.observer)
         found = [
             remove_least_dense(density[members], members, percentage, removal.threshold)
             for members, percentage in zip(membership, percentages, strict=True)
         ]
     return [
-        Removal(each.dynamic & ~safe[members], each.threshold)
+        Removal(each.dynamic & ~given.protected[members], each.threshold)
         for members, each in zip(membership, found, strict=True)
     ]
 
@@ -353,12 +361,14 @@ def _scattered(
 
 
 def _summaries(
+    given: _Given,
     clusters: Clusters,
     membership: Sequence[NDArray[np.int64]],
     percentages: Sequence[Fraction],
     removals: Sequence[Removal],
 ) -> tuple[ClusterSummary, ...]:
-    return tuple(
+    every = zip(clusters.centroids, membership, percentages, removals, strict=True)
+    summaries = tuple(
         ClusterSummary(
             index=index,
             centroid=(float(centre[0]), float(centre[1]), float(centre[2])),
@@ -367,7 +377,8 @@ def _summaries(
             threshold=removal.threshold,
             removed=int(np.count_nonzero(removal.dynamic)),
         )
-        for index, (centre, members, percentage, removal) in enumerate(
-            zip(clusters.centroids, membership, percentages, removals, strict=True)
-        )
+        for index, (centre, members, percentage, removal) in enumerate(every)
     )
+    if given.parameters.removal.weighs_evidence:
+        warn_of_much_removed(summaries, given.observer)
+    return summaries

@@ -26,28 +26,17 @@ _FEWEST_SAMPLED = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Clusters:
-    """A fitted model.
-
-    Attributes
-    ----------
-    centroids : (count, 3) float64 array
-        In the coordinates of the map; no rows where there was nothing to cluster.
-    """
+    """A fitted model."""
 
     centroids: NDArray[np.float64]
+    """(count, 3): in the coordinates of the map; no rows where there was nothing to cluster."""
 
     def nearest(self, points: NDArray[np.float64], *, threads: int = 1) -> NDArray[np.int32]:
-        """Return the index of each point's nearest centroid, the lower one of two equally near.
+        """Return the index of each point's nearest centroid, (n,), the lower of two equally near.
 
         Parameters
         ----------
         points : (n, 3) float64 array
-        threads : int
-            They change nothing about the result.
-
-        Returns
-        -------
-        (n,) int32 array
         """
         nearest = np.zeros(len(points), np.int32)
         over_ranges(
@@ -94,18 +83,9 @@ def sample_rows(
 
 
 def fit_clusters(sample: NDArray[np.float64], parameters: ClusteringParameters) -> Clusters:
-    """Fit MiniBatchKMeans on a sample of the ground-free points.
+    """Fit MiniBatchKMeans on a sample of ground-free points, (n, 3), in the order of their rows.
 
-    Parameters
-    ----------
-    sample : (n, 3) float64 array
-        In the order of row numbers.
-    parameters : ClusteringParameters
-
-    Returns
-    -------
-    Clusters
-        As many as asked for, or as there are distinct points in the sample if those are fewer.
+    There are as many clusters as asked for, or as distinct points in the sample if those are fewer.
     """
     count = _distinct_points(sample, parameters.count)
     if count == 0:
@@ -148,7 +128,6 @@ def _assign(
 
 
 def _ranked_below(limit: int, rows: NDArray[np.int64], seed: int) -> NDArray[np.intp]:
-    """Find the rows whose rank is below the limit."""
     bound = np.uint64(limit)
     chosen = [
         start + np.flatnonzero(_random_rank(rows[start : start + _RANKING_BATCH], seed) < bound)

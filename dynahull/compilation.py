@@ -47,19 +47,10 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 @contextmanager
 def compiling(what: str, sources: Path) -> Iterator[Path | None]:
-    """Compile in this block: one process at a time, and only the first one says so.
+    """Compile, in this block, what is named; yield where the code is kept, None where it cannot be.
 
-    Parameters
-    ----------
-    what : str
-        Named in the line that is logged.
-    sources : Path
-        Folder of the modules whose functions are compiled.
-
-    Yields
-    ------
-    Path or None
-        Where the code is kept, if it can be.
+    The functions are those of the modules in a folder. One process compiles at a time, and only the
+    first one says so.
     """
     folder = cache_folder(sources)
     if folder is None:

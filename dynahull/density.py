@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from dynahull.parameters import MethodParameters
 from dynahull.progress import Observer, SilentObserver
-from dynahull.reference.density import _REFERENCE_BATCH, reference_densities
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import neighbourhoods, reference_densities
 
 SMALLEST_CLUSTER = 4
 """Points of the smallest cluster that is scored: fewer have no hull."""
@@ -84,13 +83,10 @@ def reference_spreads(
     if k == 0:
         return np.empty((len(centres), 0), np.float32)
     spread = np.empty((len(centres), SPREAD_COLUMNS), np.float32)
-    for start in range(0, len(centres), _REFERENCE_BATCH):
-        batch = centres[start : start + _REFERENCE_BATCH]
-        neighbourhoods = nearest_neighbours(points, rows, k, batch)
-        for slot, (centre, neighbours) in enumerate(zip(batch, neighbourhoods, strict=True), start):
-            places = np.unique(points[neighbours] - centre, axis=0)
-            mean = places.mean(axis=0)
-            values, axes = np.linalg.eigh((places - mean).T @ (places - mean) / len(places))
-            spread[slot, :3] = np.sqrt(np.maximum(values, 0.0))
-            spread[slot, 3:] = abs(axes[2, 0]), np.linalg.norm(mean)
+    for slot, around in enumerate(neighbourhoods(points, rows, k, centres)):
+        places = np.unique(around, axis=0)
+        mean = places.mean(axis=0)
+        values, axes = np.linalg.eigh((places - mean).T @ (places - mean) / len(places))
+        spread[slot, :3] = np.sqrt(np.maximum(values, 0.0))
+        spread[slot, 3:] = abs(axes[2, 0]), np.linalg.norm(mean)
     return spread

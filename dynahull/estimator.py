@@ -16,7 +16,7 @@ from dynahull.clustering import Clusters
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.parameters import MethodParameters
-from dynahull.reference.density import reference_densities
+from dynahull.reference import reference_densities
 
 
 class DynaHull(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases

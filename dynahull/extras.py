@@ -9,14 +9,9 @@ _NAME = "dynahull-pipeline"
 
 
 def install_command(extra: str, package: str) -> str:
-    """Return the command that installs an extra.
+    """Return the command that installs an extra of this package.
 
-    Parameters
-    ----------
-    extra : str
-        Of this package.
-    package : str
-        What it is made of, for those who have this package from elsewhere than pip.
+    Those who have this package from elsewhere than pip install what the extra is made of.
     """
     try:
         found = distribution(_NAME)

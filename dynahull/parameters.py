@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from dynahull.errors import InvalidParametersError
 from dynahull.ground.parameters import GroundParameters
@@ -56,11 +56,7 @@ READY: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 what a run of the product needs."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ClusteringParameters(_Section):
+class ClusteringParameters(BaseModel, extra="forbid", frozen=True):
     """MiniBatchKMeans on the ground-free points."""
 
     count: int = Field(5, ge=1, le=10_000, description="Number of clusters.")
@@ -78,13 +74,13 @@ class ClusteringParameters(_Section):
     )
 
 
-class NeighbourParameters(_Section):
+class NeighbourParameters(BaseModel, extra="forbid", frozen=True):
     """The neighbourhood whose hull is measured."""
 
     k: int = Field(75, ge=4, le=1_000, description="Nearest neighbours, the point itself included.")
 
 
-class DensityParameters(_Section):
+class DensityParameters(BaseModel, extra="forbid", frozen=True):
     """Where and how k / v is computed."""
 
     device: Literal["cpu", "reference"] = Field(
@@ -94,7 +90,7 @@ class DensityParameters(_Section):
     )
 
 
-class RemovalParameters(_Section):
+class RemovalParameters(BaseModel, extra="forbid", frozen=True):
     """How it is decided what goes: by the paper's share of each cluster (Eq. 1), or by evidence."""
 
     decision: Literal["paper", "auto"] = Field(
@@ -146,7 +142,7 @@ class RemovalParameters(_Section):
         return self.decision == "auto"
 
 
-class MethodParameters(_Section):
+class MethodParameters(BaseModel, extra="forbid", frozen=True):
     """All parameters of the method, by the steps of Algorithm 1.
 
     The defaults are those of the paper: k = 75, five clusters, 5 to 20 percent removed.
@@ -215,15 +211,10 @@ class MethodParameters(_Section):
 
 
 def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
-    """Say what is wrong in one line, with the nearest allowed name where a key is unknown.
+    """Say what a model refused in one line, with the nearest allowed name where a key is unknown.
 
-    Parameters
-    ----------
-    invalid : ValidationError
-        Its first error is told; an unknown key before all others, as a key that is misspelt may be
-        missing as well.
-    model : type of BaseModel
-        The model that refused.
+    The first error is told; an unknown key before all others, as a key that is misspelt may be
+    missing as well.
     """
     errors = invalid.errors()
     error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])

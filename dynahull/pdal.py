@@ -17,7 +17,7 @@ Dimensions = Mapping[str, NDArray[Any]]
 
 
 def remove_ghosts(ins: Dimensions, outs: MutableMapping[str, NDArray[Any]]) -> bool:
-    """Leave the ghosts out of the stream, by `auto`.
+    """Leave the ghosts out of the stream, by `auto`; True, as PDAL asks for.
 
     Parameters
     ----------
@@ -25,11 +25,6 @@ def remove_ghosts(ins: Dimensions, outs: MutableMapping[str, NDArray[Any]]) -> b
         The dimensions of the points; X, Y and Z in metres.
     outs : mapping
         Given the dimension `Mask`.
-
-    Returns
-    -------
-    bool
-        True, as PDAL asks for.
     """
     outs["Mask"] = _cleaned(ins).kept
     return True

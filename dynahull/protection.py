@@ -5,27 +5,19 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, model_validator
 
 Corner = tuple[float, float]
 
 
-class Area(BaseModel):
-    """A polygon seen from above, between two heights; metres, as the map's coordinates.
-
-    Attributes
-    ----------
-    rings : tuple of rings, each of at least three corners (x, y)
-        What lies within an odd number of them is in the area: the second ring is a hole.
-    low, high : float or None
-        z; None for no limit.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class Area(BaseModel, extra="forbid", frozen=True):
+    """A polygon seen from above, between two heights; metres, as the map's coordinates."""
 
     rings: tuple[tuple[Corner, ...], ...]
+    """What lies within an odd number of them is in the area: the second ring is a hole."""
     low: float | None = None
     high: float | None = None
+    """z; None for no limit."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -81,8 +73,6 @@ def protected_points(
         Metres.
     classes : (n,) uint8 array or None
         ASPRS classes, where there are any.
-    protected_classes : sequence of int
-    areas : sequence of Area
     """
     protected = np.zeros(len(xyz), np.bool_)
     if classes is not None and protected_classes:

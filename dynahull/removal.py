@@ -1,12 +1,14 @@
-"""Step 6: the least dense points of each cluster are dynamic.
+"""Steps 5 and 6: which share of each cluster goes (Eq. 1), and which of its points.
 
-`rank` takes exactly the share that Eq. 1 gives. `stepped` is the paper's wording of Algorithm 1:
-from zero, the threshold rises by a step set by the spread of the densities until the share is
-reached, so it may take more than the share; less only where all densities are equal.
+`rank` takes exactly the share that Eq. 1 gives: the least dense points. `stepped` is the paper's
+wording of Algorithm 1: from zero, the threshold rises by a step set by the spread of the densities
+until the share is reached, so it may take more than the share; less only where all densities are
+equal.
 
 The other way to decide, by evidence, takes the points that are likely to have moved.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, floor, inf
@@ -15,7 +17,54 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.rescale import removal_count
+
+def removal_percentages(
+    counts: Sequence[int], min_percent: float, max_percent: float, neighbours: int = 1
+) -> tuple[Fraction, ...]:
+    """Rescale point counts to removal percentages (Eq. 1 of the paper).
+
+    R_i = (N_i - N_min) / (N_max - N_min) * (max_percent - min_percent) + min_percent
+
+    Parameters
+    ----------
+    counts : sequence of int
+        N_i, the points of each cluster of the whole map.
+    min_percent, max_percent : float
+        The percentages of the smallest and of the largest cluster.
+    neighbours : int
+        k. A cluster of fewer points is not the smallest one, unless all clusters are so small:
+        it is a few strays, or a rest, and must not decide how much the others lose.
+
+    Returns
+    -------
+    tuple of Fraction
+        R_i in percent, exact; `min_percent` for all where all counts are equal, and for clusters
+        of fewer than k points; zero for empty clusters.
+    """
+    # The decimal the user wrote, not the binary fraction nearest to it: 0.1 is one tenth.
+    low, high = Fraction(str(min_percent)), Fraction(str(max_percent))
+    populated = [count for count in counts if count > 0]
+    if not populated:
+        return tuple(Fraction(0) for _ in counts)
+    smallest, largest = smallest_counted(populated, neighbours), max(populated)
+    spread = max(largest - smallest, 1)
+    return tuple(
+        Fraction(max(count - smallest, 0), spread) * (high - low) + low
+        if count > 0
+        else Fraction(0)
+        for count in counts
+    )
+
+
+def smallest_counted(populated: Sequence[int], neighbours: int) -> int:
+    """Return N_min of Eq. 1: of the clusters of at least k points, or of all if there are none."""
+    return min((count for count in populated if count >= neighbours), default=min(populated))
+
+
+def removal_count(percentage: Fraction, count: int) -> int:
+    """Return floor(R_i / 100 * N_i), the points that a cluster loses."""
+    return floor(percentage * count / 100)
+
 
 STEPS_PER_SPREAD = 100
 """Steps of the `stepped` threshold in one interquartile range of the densities."""
@@ -23,19 +72,13 @@ STEPS_PER_SPREAD = 100
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """What a cluster loses.
-
-    Attributes
-    ----------
-    dynamic : (n,) bool array
-        The points removed.
-    threshold : float or None
-        `rank`: the density of the densest point removed, None where none is. `stepped`: the
-        threshold reached; the points below it are removed. None where the evidence decides.
-    """
+    """What a cluster loses."""
 
     dynamic: NDArray[np.bool_]
+    """(n,): the points removed."""
     threshold: float | None
+    """`rank`: the density of the densest point removed, None where none is. `stepped`: the
+    threshold reached; the points below it are removed. None where the evidence decides."""
 
 
 def remove_least_dense(
@@ -59,10 +102,6 @@ def remove_least_dense(
         R_i of Eq. 1.
     threshold : {"rank", "stepped"}
         How the threshold is found.
-
-    Returns
-    -------
-    Removal
     """
     if threshold == "rank":
         return _by_rank(density, rows, percentage)
@@ -70,15 +109,7 @@ def remove_least_dense(
 
 
 def remove_likely(score: NDArray[np.float32], confidence: float) -> Removal:
-    """Find the points of one cluster whose evidence says that they moved.
-
-    Parameters
-    ----------
-    score : (n,) float32 array
-        Probability of having moved; NaN is kept.
-    confidence : float
-        The least probability that goes.
-    """
+    """Find the points of one cluster whose evidence says that they moved: NaN is kept."""
     return Removal(np.asarray(score >= confidence), None)
 
 

@@ -42,38 +42,23 @@ OUTSKIRTS_NAMES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strays:
-    """The verdict on a whole map.
-
-    Attributes
-    ----------
-    heap : int
-        Points at exactly the origin, if they are a heap; otherwise 0.
-    at_origin : int
-        Points at exactly the origin, if they are none.
-    rows : (n,) int64 array
-        Row numbers of the strays, ascending.
-    points : (n, 3) float64 array
-        Where they are.
-    low, high : (3,) float64 arrays
-        All other points lie within.
-    """
+    """The verdict on a whole map."""
 
     heap: int
+    """Points at exactly the origin, if they are a heap; otherwise 0."""
     at_origin: int
+    """Points at exactly the origin, if they are none."""
     rows: NDArray[np.int64]
+    """(n,): row numbers of the strays, ascending."""
     points: NDArray[np.float64]
+    """(n, 3): where they are."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(3,): all other points lie within."""
 
 
 class Outskirts:
-    """What must be known of points to tell strays.
-
-    Parameters
-    ----------
-    k : int
-        `neighbours.k`: so many of the outermost points of each side are held.
-    """
+    """What must be known of points to tell strays: counts, and the k outermost of each side."""
 
     def __init__(self, k: int) -> None:
         self._most = k
@@ -90,16 +75,7 @@ class Outskirts:
         first_row: int = 0,
         chosen: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Take points of consecutive rows into account.
-
-        Parameters
-        ----------
-        points : (n, 3) float64 array
-        first_row : int
-            Row number of the first of them.
-        chosen : (n,) bool array, optional
-            Those that take part, which are finite; all by default.
-        """
+        """Take points of consecutive rows, (n, 3), into account: the chosen, all finite, or all."""
         start = 0
         while start < len(points):
             # Of the first points, all are the outermost so far.

@@ -17,17 +17,12 @@ __all__ = ["Summary"]
 
 @dataclass(frozen=True)
 class Summary:
-    """Rows of numbers, each of one cell; a cell may have several rows, which keep their order.
-
-    Attributes
-    ----------
-    cells : (n, 2) or (n, 3) array of int32 or int64
-        Cell (i, j, ...) holds the points with i <= x / side < i + 1, and so on.
-    values : (n, C) array
-    """
+    """Rows of numbers, each of one cell; a cell may have several rows, which keep their order."""
 
     cells: npt.NDArray[Any]
+    """(n, 2) or (n, 3): cell (i, j, ...) holds the points with i <= x / side < i + 1, and so on."""
     values: npt.NDArray[Any]
+    """(n, C)"""
 
     def __len__(self) -> int:
         return len(self.cells)

@@ -15,21 +15,10 @@ _PIECES_PER_THREAD = 4
 
 
 def range_bounds(count: int, threads: int, smallest: int) -> list[int]:
-    """Cut `count` items into ranges of nearly equal length.
+    """Cut `count` items into ranges of nearly equal length; return where they begin, and their end.
 
-    Parameters
-    ----------
-    count : int
-        Items.
-    threads : int
-        One range for one thread, and several a thread for more.
-    smallest : int
-        Items in a range, at least, if there are as many: fewer are not worth a thread's start.
-
-    Returns
-    -------
-    list of int
-        Where the ranges begin, and the end of the last.
+    There is one range for one thread, and several a thread for more, of `smallest` items at least
+    if there are as many: fewer are not worth a thread's start.
     """
     pieces = 1 if threads == 1 else min(_PIECES_PER_THREAD * threads, count // smallest)
     return [count * piece // max(pieces, 1) for piece in range(max(pieces, 1) + 1)]
@@ -38,12 +27,8 @@ def range_bounds(count: int, threads: int, smallest: int) -> list[int]:
 def group_bounds(starts: NDArray[np.int64], threads: int, smallest: int) -> list[int]:
     """Cut groups of items into ranges of groups that hold nearly the same number of items.
 
-    Parameters
-    ----------
-    starts : (groups + 1,) int64 array
-        Where each group's items begin, and the end of the last.
-    threads, smallest : int
-        See `range_bounds`; `smallest` is a number of items.
+    See `range_bounds`: `smallest` is a number of items. A group's items begin at `starts`,
+    (groups + 1,), whose last is the end.
     """
     wanted = range_bounds(int(starts[-1]), threads, smallest)[1:-1]
     inner = np.searchsorted(starts[:-1], wanted) if wanted else ()

@@ -13,7 +13,7 @@ from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.summaries import logarithms
 from dynahull.parameters import MethodParameters, RemovalParameters
 from dynahull.progress import Observer
-from dynahull.rescale import removal_percentages, smallest_counted
+from dynahull.removal import removal_percentages, smallest_counted
 from dynahull.result import ClusterSummary
 
 LITTLE_GROUND = 0.02
@@ -44,16 +44,7 @@ _OTHER_GROUND = {"slope": "csf", "csf": "slope", "las_class": "slope"}
 
 
 def warn_of_ground(ground: int, total: int, method: str, observer: Observer) -> None:
-    """Say that hardly any ground was found, if so.
-
-    Parameters
-    ----------
-    ground, total : int
-        Points of the ground, and all that take part.
-    method : str
-        `ground.method`.
-    observer : Observer
-    """
+    """Say that hardly any ground was found among the points that take part, if so."""
     if method == "none" or ground >= LITTLE_GROUND * total:
         return
     observer.warn(
@@ -67,15 +58,7 @@ def warn_of_ground(ground: int, total: int, method: str, observer: Observer) -> 
 def warn_of_clusters(
     counts: Sequence[int], parameters: MethodParameters, observer: Observer
 ) -> None:
-    """Say what is unusual about the clusters of a map.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        N_i, points of each cluster.
-    parameters : MethodParameters
-    observer : Observer
-    """
+    """Say what is unusual about the clusters of a map, by the points of each."""
     wanted = parameters.clustering.count
     if not sum(counts):
         observer.warn("no point is left after the ground: nothing was scored")
@@ -125,13 +108,7 @@ def density_levels(density: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def has_sparse_population(levels: NDArray[np.int64]) -> bool:
-    """Tell whether there is a second, sparser population below the mode of the densities.
-
-    Parameters
-    ----------
-    levels : (800,) int64 array
-        See `density_levels`.
-    """
+    """Tell whether there is a second, sparser population below the mode of `density_levels`."""
     smooth = np.convolve(levels, np.ones(5), mode="same")  # over half an octave
     below = smooth[: int(smooth.argmax()) + 1]
     # Of each bin as the valley: the peak before it, and the points up to it.
@@ -142,14 +119,7 @@ def has_sparse_population(levels: NDArray[np.int64]) -> bool:
 
 
 def warn_of_densities(levels: NDArray[np.int64], observer: Observer) -> None:
-    """Say that the densities show no second population, if so: Eq. 1 takes its share all the same.
-
-    Parameters
-    ----------
-    levels : (800,) int64 array
-        See `density_levels`.
-    observer : Observer
-    """
+    """Say that densities show no second population, if so: Eq. 1 takes its share all the same."""
     if levels.sum() >= _FEWEST_SCORED and not has_sparse_population(levels):
         observer.warn(
             "the densities show no second, sparser population: Eq. 1 takes its share of each "
@@ -163,14 +133,7 @@ def wide_neighbourhoods(spread: NDArray[np.float32]) -> int:
 
 
 def warn_of_sparse_map(wide: int, scored: int, observer: Observer) -> None:
-    """Say that a map is too sparse for a sure decision, if so.
-
-    Parameters
-    ----------
-    wide, scored : int
-        Points of `wide_neighbourhoods`, and all that are scored.
-    observer : Observer
-    """
+    """Say that a map is too sparse for a sure decision, if many scored neighbourhoods are wide."""
     if 2 * wide > scored:
         observer.warn(
             "the map is sparse, or was downsampled: the neighbours of most points reach as wide "

@@ -17,8 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from dynahull.labels import Label
 from dynahull.protection import Area
-from dynahull.removal import remove_likely
-from dynahull.rescale import removal_percentages
+from dynahull.removal import removal_percentages, remove_likely
 from dynahull.result import NO_CLUSTER, ClusterSummary
 from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import Configuration, load_configuration
@@ -55,6 +54,9 @@ _KINDS: dict[str, DTypeLike] = {
     "reason": np.uint8,
 }
 
+Kept = dict[str, NDArray[Any]]
+"""What a run kept of each point, (N,) each, by the names of `_KINDS`."""
+
 
 def decide_again(
     folder: Path,
@@ -78,7 +80,6 @@ def decide_again(
         Where nothing is removed, beside those of the run.
     restore : sequence of int
         Numbers of places of the run's report that are put back.
-    observer : StageObserver
 
     Raises
     ------
@@ -100,7 +101,7 @@ def decide_again(
     results = names.all_files(configuration.output)
     with output_folder(output or folder, results, paths) as staging, unchanged(paths):
         _check_content(collection, report, observer)
-        kept = _Kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
+        kept = _read_kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
         if restore:
             areas = _areas_of_places(collection, report, kept, restore, observer)
             configuration = _protecting(configuration, areas)
@@ -120,7 +121,7 @@ def decide_again(
 
 def _report_of(folder: Path) -> RunReport:
     try:
-        report = RunReport.model_validate(json.loads((folder / RUN_FILE).read_text("utf-8")))
+        report = RunReport.read(folder)
     except (OSError, ValueError):
         raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
     if LABELS_FILE not in report.outputs:
@@ -163,7 +164,6 @@ def _check_content(collection: MapCollection, report: RunReport, observer: Stage
 
 
 def _protecting(configuration: Configuration, areas: Sequence[Area]) -> Configuration:
-    """Return a configuration by which nothing is removed in further areas."""
     protect = (*configuration.removal.protect, *areas)
     removal = configuration.removal.model_copy(update={"protect": protect})
     return configuration.model_copy(update={"removal": removal})
@@ -176,34 +176,30 @@ def _check_places(report: RunReport, numbers: Sequence[int]) -> None:
             raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
 
 
-class _Kept:
-    """What a run kept of each point, in files of one value a row."""
-
-    def __init__(self, table: Path, folder: Path, count: int) -> None:
-        folder.mkdir()
-        self._rows: dict[str, NDArray[Any]] = {}
-        for name, kind in _KINDS.items():
-            make_rows(folder / name, count, kind, 0)
-            self._rows[name] = open_rows(folder / name, kind, "r+")
-        first = 0
-        for columns in row_columns(table, tuple(_KINDS)):
-            stop = first + len(columns["label"])
-            if stop > count:
-                break
-            for name, values in columns.items():
-                self._rows[name][first:stop] = values
-            first = stop
-        if first != count:
-            raise OutputError(f"{table}: expected {count} labels, found others; run again")
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._rows[name]
+def _read_kept(table: Path, folder: Path, count: int) -> Kept:
+    """Read what a run kept of each point, into files of one value a row."""
+    folder.mkdir()
+    kept: Kept = {}
+    for name, kind in _KINDS.items():
+        make_rows(folder / name, count, kind, 0)
+        kept[name] = open_rows(folder / name, kind, "r+")
+    first = 0
+    for columns in row_columns(table, tuple(_KINDS)):
+        stop = first + len(columns["label"])
+        if stop > count:
+            break
+        for name, values in columns.items():
+            kept[name][first:stop] = values
+        first = stop
+    if first != count:
+        raise OutputError(f"{table}: expected {count} labels, found others; run again")
+    return kept
 
 
 def _areas_of_places(
     collection: MapCollection,
     report: RunReport,
-    kept: _Kept,
+    kept: Kept,
     numbers: Sequence[int],
     observer: StageObserver,
 ) -> list[Area]:
@@ -232,16 +228,14 @@ def _areas_of_places(
 class _ScoredRows:
     """Consecutive rows as `find_cuts` looks at them."""
 
-    def __init__(self, kept: _Kept, rows: slice) -> None:
+    def __init__(self, kept: Kept, rows: slice) -> None:
         self._cluster, self._density = kept["cluster"][rows], kept["density"][rows]
         self._first = rows.start
 
     def densities(self, cluster: int) -> NDArray[np.float64]:
-        """Return the densities of its points in a cluster."""
         return np.asarray(self._density[self._cluster == cluster])
 
     def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
-        """Return the row numbers of its points in a cluster that have just this density."""
         tied = (self._cluster == cluster) & (self._density == density)
         return np.asarray(np.flatnonzero(tied) + self._first)
 
@@ -254,7 +248,7 @@ class _Decision:
         collection: MapCollection,
         configuration: Configuration,
         report: RunReport,
-        kept: _Kept,
+        kept: Kept,
         observer: StageObserver,
     ) -> None:
         self._collection, self._configuration = collection, configuration
@@ -267,7 +261,6 @@ class _Decision:
         self._shown: list[MapSample] = []
 
     def made(self) -> CleanedMap:
-        """Decide, and return what became of the points."""
         configuration, kept = self._configuration, self._kept
         removal, counts = configuration.removal, self._counts
         percentages, cuts = self._percentages(), self._cuts()

@@ -19,18 +19,15 @@ _RING = re.compile(r"\(([^()]+)\)")
 
 
 def read_areas(path: Path) -> list[Area]:
-    """Read areas.
+    """Read areas from GeoJSON, WKT or lines of numbers.
 
-    Parameters
-    ----------
-    path : Path
-        GeoJSON (polygons, in features or not), WKT (POLYGON, MULTIPOLYGON), or lines of four
-        numbers x0 y0 x1 y1, or of six with the heights, x0 y0 z0 x1 y1 z1.
+    GeoJSON and WKT hold polygons, in features or not, and multipolygons; a line is x0 y0 x1 y1, or
+    with the heights x0 y0 z0 x1 y1 z1.
 
     Raises
     ------
     ConfigurationError
-        When it cannot be read, or holds anything else.
+        When the file cannot be read, or holds anything else.
     """
     try:
         text = path.read_text(encoding="utf-8")

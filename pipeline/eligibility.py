@@ -95,12 +95,7 @@ class Watcher:
     """Learns from a stream of points who takes part, and hides the others from what comes next.
 
     Points at exactly the origin are hidden as well: whether they are a heap is known in the end.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    note : callable, optional
-        Given the first row of a batch, and the marks of its points, if any are marked.
+    `note` is given the first row of a batch and the marks of its points, if any are marked.
 
     Attributes
     ----------

@@ -6,10 +6,7 @@ from tiling.foreign_text import LONGEST_LINE, printable
 class PipelineError(Exception):
     """Base class of every error that this package raises on purpose.
 
-    Parameters
-    ----------
-    message : str
-        Made one printable line: it may quote names of files, and what they hold.
+    The message is made one printable line: it may quote names of files, and what they hold.
     """
 
     def __init__(self, message: object = "") -> None:

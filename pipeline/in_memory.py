@@ -13,13 +13,12 @@ from dynahull.evidence.range_images import draw_images
 from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.configuration.run import Configuration
-from pipeline.decision import Decision
 from pipeline.eligibility import LEFT_OUT, PROTECTED, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import PointScores
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
-from pipeline.places import DecisionSums
+from pipeline.places import Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views

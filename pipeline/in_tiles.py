@@ -8,14 +8,14 @@ import numpy as np
 
 from dynahull.result import ClusterSummary
 from pipeline.cluster.choice import workers_for
-from pipeline.decision import Decision
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
+from pipeline.places import Decision
 from pipeline.plan.plan import check_plan
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
 from pipeline.tiles.cleaning import clean_tiles, find_times
-from pipeline.tiles.labelling import gather_decision, gather_sample, tile_work
+from pipeline.tiles.labelling import SCORES, gather_decision, gather_sample, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
 from pipeline.work.files import open_rows
@@ -26,21 +26,14 @@ from tiling.formats.points import DEFAULT_BATCH
 
 
 def clean_in_tiles(
-    job: Job,
-    collection: MapCollection,
-    names: OutputNames,
-    staging: Path,
-    observer: StageObserver,
+    job: Job, collection: MapCollection, names: OutputNames, staging: Path, observer: StageObserver
 ) -> CleanedMap:
     """Clean a map of several tiles, and write its results."""
     find_times(job, collection, observer)
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
         counts, clusters = clean_tiles(
-            job,
-            executor,
-            observer,
-            lambda plan: check_plan(plan, job.configuration, job.root),
+            job, executor, observer, lambda plan: check_plan(plan, job.configuration, job.root)
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
         decision = gather_decision(job)
@@ -49,12 +42,10 @@ def clean_in_tiles(
             views = partial(_views, job, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
-        cluster, density, score, reason = None, None, None, None
-        if output.needs_scores:
-            cluster = open_rows(job.rows_path("cluster"), np.int32)
-            density = open_rows(job.rows_path("density"), np.float64)
-            score = open_rows(job.rows_path("score"), np.float32)
-            reason = open_rows(job.rows_path("reason"), np.uint8)
+        cluster, density, score, reason = [
+            open_rows(job.rows_path(name), kind) if output.needs_scores else None
+            for name, (kind, _) in SCORES.items()
+        ]
         places = make_places(names, staging)
         in_parts = [] if output.merge else _write_in_parts(job, executor, observer, places)
         decoded, read = job.decoded, None
@@ -78,7 +69,6 @@ def clean_in_tiles(
 
 
 def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
-    """Return what the report shows."""
     return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
 
 

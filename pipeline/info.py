@@ -8,7 +8,7 @@ from typing import Annotated, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, SkipValidation
+from pydantic import BaseModel, SkipValidation
 
 from pipeline.configuration.run import Configuration
 from pipeline.scan_numbers import find_scans
@@ -32,7 +32,6 @@ _IN_MEMORY = 1 << 21
 """Points that are sorted at a time; of more, those alike go to the same temporary file."""
 
 _MOST_FILES = 512
-_POINT_BYTES = 24
 _MULTIPLIERS = np.array([-7046029254386353131, -4417276706812531889, 1609587929392839161])
 
 
@@ -70,38 +69,24 @@ class FileInfo(BaseModel):
         )
 
 
-class MapInfo(BaseModel):
-    """What a map of one or more files holds.
-
-    Attributes
-    ----------
-    files : list of FileInfo
-    points : int
-    units : tuple of str
-        Of x, y and z, those of the first file that tells them.
-    minimum, maximum : tuple of float or None
-        Bounds of the finite points, in the map's units; None where there are none.
-    non_finite : int
-        Points with a coordinate that is NaN or infinite.
-    duplicates : int
-        Finite points at coordinates that an earlier point has already.
-    time : str
-        What tells when points were seen, in words.
-    notes : list of str
-        What of the whole map is to be minded.
-    """
-
-    model_config = ConfigDict(frozen=True)
+class MapInfo(BaseModel, frozen=True):
+    """What a map of one or more files holds."""
 
     files: list[FileInfo]
     points: int
     units: tuple[str, str, str] = ("m", "m", "m")
+    """Of x, y and z, those of the first file that tells them."""
     minimum: tuple[float, float, float] | None
     maximum: tuple[float, float, float] | None
+    """Bounds of the finite points, in the map's units; None where there are none."""
     non_finite: int
+    """Points with a coordinate that is NaN or infinite."""
     duplicates: int
+    """Finite points at coordinates that an earlier point has already."""
     time: str = "none"
+    """What tells when points were seen, in words."""
     notes: list[str] = []
+    """What of the whole map is to be minded."""
 
     def to_text(self) -> str:
         """Return the information as aligned lines."""
@@ -136,10 +121,6 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
         Files, folders or globs that together are one map.
     poses : str, optional
         File of the poses of its scans, in the place of what lies beside them.
-
-    Returns
-    -------
-    MapInfo
 
     Raises
     ------

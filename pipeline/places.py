@@ -11,10 +11,70 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, added, cells_of
 from dynahull.evidence.reasons import REASONS
-from pipeline.decision import SCORE_STEPS, Decision, Place, PlaceReason
+
+SCORE_STEPS = 100
+"""Steps of a score that are counted, each a hundredth."""
+
+
+class PlaceReason(BaseModel, frozen=True):
+    """Why points were removed, and what share of those of the place; from 0 to 1."""
+
+    words: str
+    share: float
+
+
+class Place(BaseModel, frozen=True):
+    """A connected group of removed points."""
+
+    number: int
+    """From 1, the place of most points."""
+    points: int
+    """Removed there."""
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    """Corners of the box around it, metres; whole voxels."""
+    score: float | None
+    """Mean probability of having moved; None where no evidence was weighed."""
+    reasons: tuple[PlaceReason, ...]
+    """Of most points first."""
+
+    @property
+    def middle(self) -> tuple[float, float, float]:
+        """The middle of its box, metres."""
+        x, y, z = (0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True))
+        return x, y, z
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """The sides of its box, metres."""
+        x, y, z = (high - low for low, high in zip(self.low, self.high, strict=True))
+        return x, y, z
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What was decided."""
+
+    places: tuple[Place, ...]
+    """Those of most points."""
+    place_count: int
+    """All there are."""
+    scattered: int
+    """Removed points in groups too small to be a place."""
+    uncertain: int
+    """Points that were kept with half of the confidence asked for, at least."""
+    scores: NDArray[np.int64]
+    """(101,): points of a score of 0, 0.01 ... 1, and less than a step above it; none without
+    evidence."""
+
+    def removed_at(self) -> NDArray[np.int64]:
+        """Return how many points go at a confidence of 0, 0.01 ... 1, (101,)."""
+        return np.asarray(self.scores[::-1].cumsum()[::-1])
+
 
 SIDE = 0.4
 """Of the voxels, metres."""
@@ -54,24 +114,17 @@ _MANY = 100_000
 
 @dataclass(frozen=True, slots=True)
 class DecisionSums:
-    """What the tiles say of the decision; the sums of a map are those of its tiles, added up.
-
-    Attributes
-    ----------
-    open : Voxels
-        Of groups that may go on elsewhere: points, scores in thousandths, points of each reason.
-    whole : (P, W) int64 array
-        Places, those of most points first: the same sums, then the lowest and the highest cell.
-    counts : (3,) int64 array
-        Whole places, also those that are not listed, scattered points, uncertain points.
-    scores : (101,) int64 array
-        See `Decision.scores`.
-    """
+    """What the tiles say of the decision; the sums of a map are those of its tiles, added up."""
 
     open: Voxels
+    """Of groups that may go on elsewhere: points, scores in thousandths, points of each reason."""
     whole: Integers
+    """(P, W): places, those of most points first: the same sums, then the lowest and the highest
+    cell."""
     counts: Integers
+    """(3,): whole places, also those that are not listed, scattered points, uncertain points."""
     scores: Integers
+    """(101,): see `Decision.scores`."""
 
     @classmethod
     def empty(cls) -> Self:
@@ -182,16 +235,9 @@ class DecisionSums:
         return dict(zip(ARRAY_NAMES, arrays, strict=True))
 
     @classmethod
-    def from_arrays(
-        cls,
-        cells: NDArray[np.int32],
-        sums: Integers,
-        whole: Integers,
-        counts: Integers,
-        scores: Integers,
-    ) -> Self:
+    def from_arrays(cls, cells: NDArray[np.int32], sums: Integers, *others: Integers) -> Self:
         """Return what `to_arrays` gave away, in the order of `ARRAY_NAMES`."""
-        return cls(Voxels(cells, sums), whole, counts, scores)
+        return cls(Voxels(cells, sums), *others)
 
     def _with_whole(self, core: Floats) -> Self:
         """Put places together of which no voxel, nor one beside it, lies on the core's edge."""
@@ -228,7 +274,6 @@ def _groups(voxels: Voxels, groups: NDArray[np.intp]) -> Integers:
 
 
 def _largest(rows: Integers) -> Integers:
-    """Return the places to list."""
     return np.asarray(rows[_by_size(rows)])
 
 

@@ -11,8 +11,7 @@ from pipeline.eligibility import survey_map
 from pipeline.errors import OutputError
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
-from pipeline.plan.picture import draw_plan
-from pipeline.plan.plan import check_plan, make_plan
+from pipeline.plan.plan import check_plan, draw_plan, make_plan
 from pipeline.plan.resources import check_one_tile, is_one_tile, one_tile_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders

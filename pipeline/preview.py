@@ -119,11 +119,7 @@ def preview(
     if window is None:
         window = _choose_window(collection, configuration, points, observer)
     part = _Part(points)
-    observer.stage("selecting", collection.point_count)
-    for file, batch in collection.batches():
-        part.add(file, batch, window)
-        observer.advance(len(batch.xyz))
-    kept = part.finish()
+    kept = part.gathered(collection, window, observer)
     if not kept:
         raise ConfigurationError(f"{collection.name}: no point in the window, {window}")
     with writing_only_into(folder):
@@ -266,8 +262,14 @@ class _Part:
         while self.count > 2 * self._most:
             self._keep_below(self._limit / 2)
 
-    def finish(self) -> dict[int, list[PointBatch]]:
-        """Return the batches of each file, in order."""
+    def gathered(
+        self, collection: MapCollection, window: Window, observer: StageObserver
+    ) -> dict[int, list[PointBatch]]:
+        """Return the batches of each file of a map, in order."""
+        observer.stage("selecting", collection.point_count)
+        for file, batch in collection.batches():
+            self.add(file, batch, window)
+            observer.advance(len(batch.xyz))
         if self.count > self._most:
             ranks = np.concatenate([ranks for _, _, ranks in self._held])
             self._keep_below(float(np.partition(ranks, self._most)[self._most]))

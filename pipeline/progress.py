@@ -27,6 +27,9 @@ class Display:
     def end(self) -> None:
         """Take the stage away, finished or not."""
 
+    def close(self) -> None:
+        """Show nothing any more."""
+
 
 class StageObserver:
     """Keeps the seconds of each stage and the warnings, and drives a display.
@@ -169,24 +172,14 @@ class TerminalDisplay(Display):
 @contextmanager
 def watching() -> Iterator[StageObserver]:
     """Observe a run: with a bar at a terminal, with plain lines on standard error elsewhere."""
-    if not logger.isEnabledFor(logging.INFO):  # --quiet
-        observer = StageObserver(Display())
-        yield observer
-        observer.finish()
-        return
-    if not sys.stderr.isatty():
-        observer = StageObserver(LogDisplay())
-        yield observer
-        observer.finish()
-        return
-    display: TerminalDisplay | None = None
-    with only_showing("the bar of progress", logger.warning):
-        display = TerminalDisplay()
-    observer = StageObserver(display or Display())
+    display = Display()
+    if logger.isEnabledFor(logging.INFO):  # else --quiet
+        with only_showing("the bar of progress", logger.warning):
+            display = TerminalDisplay() if sys.stderr.isatty() else LogDisplay()
+    observer = StageObserver(display)
     try:
         yield observer
         observer.finish()
     finally:
         with only_showing("the bar of progress", logger.warning):
-            if display is not None:
-                display.close()
+            display.close()

@@ -42,7 +42,7 @@ def run(
     *,
     fresh: bool = False,
 ) -> RunReport:
-    """Clean one map.
+    """Clean one map; return what `run.json` holds.
 
     Parameters
     ----------
@@ -50,24 +50,19 @@ def run(
         Files, folders or globs that together are one map.
     output : Path or None
         `<map>_dynahull` in the current folder by default.
-    configuration : Configuration
     observer : StageObserver
         Told of stages, progress and warnings; its seconds go into the report.
     fresh : bool
         Start over, whatever an earlier run of this map left in the output folder.
-
-    Returns
-    -------
-    RunReport
-        What `run.json` holds.
 
     Raises
     ------
     TilingError, DynaHullError, PipelineError
         With no result written; what is done of several tiles is kept, and the same call goes on.
     """
-    collection, configuration = _opened(maps, configuration)
-    paths = collection.paths
+    paths, cores = find_map_files(maps), available_cores(configuration.execution.workers)
+    collection = open_collection(paths, configuration.input, cores)
+    configuration = configuration.of_size(collection.point_count)
     folder = output or default_folder(paths)
     _check_what_is_asked(maps, folder, collection, configuration)
     work = folder / WORK_FOLDER
@@ -80,7 +75,8 @@ def run(
     results = names.all_files(configuration.output)
     with output_folder(folder, results, paths) as staging, unchanged(paths) as state:
         if one_tile:
-            _check_disk(folder, collection, configuration)
+            size = output_size(collection, configuration)
+            check_space(folder, 0, size, configuration.output.keep_free)
         digest = _hashed(collection, observer)
         if one_tile:
             remove_work(work)
@@ -94,15 +90,6 @@ def run(
         )
     _give_up_work(work, configuration, observer)
     return report
-
-
-def _opened(
-    maps: Sequence[str | Path], configuration: Configuration
-) -> tuple[MapCollection, Configuration]:
-    """Open a map; return with it what holds for a map of its size."""
-    paths, cores = find_map_files(maps), available_cores(configuration.execution.workers)
-    collection = open_collection(paths, configuration.input, cores)
-    return collection, configuration.of_size(collection.point_count)
 
 
 def _check_what_is_asked(
@@ -201,11 +188,6 @@ def _warn_of_what_is_lost(collection: MapCollection, observer: StageObserver) ->
     notes = (note for reader in collection.readers for note in reader.description.notes)
     for note in dict.fromkeys(notes):
         observer.warn(note)
-
-
-def _check_disk(folder: Path, collection: MapCollection, configuration: Configuration) -> None:
-    size = output_size(collection, configuration)
-    check_space(folder, 0, size, configuration.output.keep_free)
 
 
 def _hashed(collection: MapCollection, observer: StageObserver) -> str:

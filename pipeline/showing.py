@@ -25,15 +25,7 @@ logger = logging.getLogger("dynahull")
 
 @contextmanager
 def only_showing(what: str, warn: Callable[[str], None]) -> Iterator[None]:
-    """Go on after a block that fails, with a warning.
-
-    Parameters
-    ----------
-    what : str
-        What the block makes.
-    warn : callable
-        Told of the failure, in one line.
-    """
+    """Go on after a block that fails, with a warning in one line of what it was to make."""
     try:
         yield
     except Exception as error:
@@ -61,7 +53,6 @@ def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> No
 
     Parameters
     ----------
-    path : Path
     suffix : str
         With the dot.
     inputs : iterable of Path

@@ -134,12 +134,7 @@ def _is_submitted(folder: Path) -> bool:
 
 
 def discard_work(folder: Path) -> str:
-    """Remove what a run that did not end left in an output folder; results stay.
-
-    Returns
-    -------
-    str
-        What was removed.
+    """Remove, and name, what a run that did not end left in an output folder; results stay.
 
     Raises
     ------

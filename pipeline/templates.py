@@ -27,15 +27,7 @@ _PAGES.filters |= {
 
 
 def render(template: str, **values: Any) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    template : str
-        Its file, within this package.
-    **values
-        What it names; all else that it names is an error.
-    """
+    """Return the page of a template of this package; what it names and is not given is an error."""
     return _PAGES.get_template(template).render(values)
 
 

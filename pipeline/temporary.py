@@ -54,13 +54,7 @@ def _folder_of(process: int, place: Path) -> Path:
 
 
 def remove_leftovers(place: Path) -> None:
-    """Remove what killed processes of this user left in a folder for temporary files.
-
-    Parameters
-    ----------
-    place : Path
-        Shared with others, as a rule.
-    """
+    """Remove what killed processes of this user left in a folder for temporary files."""
     with suppress(OSError), os.scandir(place) as entries:
         names = [entry.name for entry in entries if entry.name.startswith(_prefix())]
         for name in names:

@@ -23,15 +23,7 @@ _FACTORS = {"metre": METRE, "foot": FOOT, "us_survey_foot": US_SURVEY_FOOT}
 def open_collection(
     paths: Sequence[Path], parameters: InputParameters, threads: int = 1
 ) -> MapCollection:
-    """Open the files of a map, whose points come in metres.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-    parameters : InputParameters
-        `unit` and `poses` are used.
-    threads : int
-        See `MapCollection`.
+    """Open the files of a map, whose points come in metres, as `input.unit` and `input.poses` say.
 
     Raises
     ------

@@ -4,9 +4,8 @@ Inputs are the files that `run.json` names. They and the outputs are streamed si
 each point the whole record is compared, as the files store it.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from dynahull.removal import removable_count, remove_likely
-from dynahull.rescale import removal_count, removal_percentages
+from dynahull.removal import removable_count, removal_count, removal_percentages, remove_likely
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import VerificationError
 from pipeline.outputs.modes import DENSITY, LABEL, SCORE, PointScores, mode_of
-from pipeline.outputs.reading import added_values
+from pipeline.outputs.reading import added_values, row_columns
 from pipeline.outputs.run_report import InputFile, RunReport
-from pipeline.outputs.writing import merged_batches
+from pipeline.outputs.writing import MapPart, parts_of
 from pipeline.replacing import LABELS_FILE, RUN_FILE
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, content_hash
 from tiling.foreign_text import printable_path
 from tiling.formats import MapReader, PointBatch, open_map
-from tiling.formats.parquet_file import open_parquet
-from tiling.formats.points import DEFAULT_BATCH
-from tiling.formats.row_digests import row_digests
+from tiling.formats.points import DEFAULT_BATCH, row_digests
 
 _BATCH = DEFAULT_BATCH // 4
 _MOST_WAYS = 10_000
@@ -57,17 +53,7 @@ def find_results(folder: Path) -> list[Path]:
 
 
 def verify(folder: Path) -> str:
-    """Verify the results of one map.
-
-    Parameters
-    ----------
-    folder : Path
-        An output folder of `run`.
-
-    Returns
-    -------
-    str
-        What was proven, in one line.
+    """Verify the results in the output folder of a run; say what was proven, in one line.
 
     Raises
     ------
@@ -76,17 +62,7 @@ def verify(folder: Path) -> str:
     TilingError, OSError
         When a file cannot be read.
     """
-    try:
-        report = RunReport.model_validate(
-            json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-        )
-        configuration = Configuration.model_validate(report.configuration)
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())[:100]
-        raise VerificationError(f"{folder / RUN_FILE}: expected that of a run: {reason}") from None
-    missing = [name for name in report.outputs if not (folder / name).is_file()]
-    if missing:
-        raise VerificationError(f"{folder / missing[0]}: expected a result, found no file")
+    report, configuration = _read_report(folder)
     paths = [Path(file.path) for file in report.files]
     collection = open_collection(paths, configuration.input)
     if content_hash(paths) != report.input_hash:
@@ -94,15 +70,12 @@ def verify(folder: Path) -> str:
             f"{collection.name}: expected the map that was cleaned, found one "
             f"that was changed since"
         )
-    table = _Rows(_table(folder / LABELS_FILE)) if configuration.output.labels else None
-    if configuration.output.merge:
-        merged = _Written(collection.readers[0].merged(), collection.point_count)
-        batches = merged_batches(collection, _BATCH)
-        _verify_file(folder, report.files[0], merged, batches, configuration, table)
-    else:
-        for file, reader in zip(report.files, collection.readers, strict=True):
-            whole = _Written(reader, reader.description.point_count)
-            _verify_file(folder, file, whole, reader.batches(_BATCH), configuration, table)
+    table = None
+    if configuration.output.labels:
+        table = _Rows(_table(folder / LABELS_FILE, configuration))
+    parts = parts_of(collection, configuration.output.merge)
+    for part, file in zip(parts, report.files, strict=False):  # merged are all into the first's
+        _verify_part(folder, file, part, configuration, table)
     if table is not None and table.has_more():
         raise VerificationError(f"{folder / LABELS_FILE}: expected a row a point, found more")
     counts = report.counts
@@ -120,29 +93,34 @@ def verify(folder: Path) -> str:
     return f"{said}; labels follow from the {follow}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Written:
-    """What is written of some points: the reader that says how, and how many."""
+def _read_report(folder: Path) -> tuple[RunReport, Configuration]:
+    """Read what a run says of itself; all that it lists must be there."""
+    try:
+        report = RunReport.read(folder)
+        configuration = Configuration.model_validate(report.configuration)
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise VerificationError(f"{folder / RUN_FILE}: expected that of a run: {reason}") from None
+    missing = [name for name in report.outputs if not (folder / name).is_file()]
+    if missing:
+        raise VerificationError(f"{folder / missing[0]}: expected a result, found no file")
+    return report, configuration
 
-    reader: MapReader
-    points: int
 
-
-def _verify_file(
+def _verify_part(
     folder: Path,
     file: InputFile,
-    written: _Written,
-    batches: Iterable[PointBatch],
+    part: MapPart,
     configuration: Configuration,
     table: "_Rows | None",
 ) -> None:
     """Compare points of the input with what was written of them."""
-    reader = written.reader
+    reader, batches = part.reader, part.batches(_BATCH)
     outputs = [_Output(folder / name, reader, file.labelled is None) for name in file.outputs]
     found = sum(output.count for output in outputs)
-    if found != written.points:
+    if found != part.count:
         raise VerificationError(
-            f"{folder / file.outputs[0]}: expected {written.points} points in all "
+            f"{folder / file.outputs[0]}: expected {part.count} points in all "
             f"outputs of {printable_path(file.path)}, found {found}"
         )
     if table is None and file.labelled is None:
@@ -183,7 +161,6 @@ class _Output:
         return self._held[row - self._first]
 
     def forget(self, row: int) -> None:
-        """Drop what is before a row."""
         del self._held[: row - self._first]
         self._first = row
 
@@ -249,7 +226,6 @@ class _Rows:
         return True
 
     def take(self, count: int) -> Columns:
-        """Return the next rows."""
         while not self._held or len(self._held[LABEL]) < count:
             if not self._grow():
                 raise VerificationError("expected a label for each point, found fewer")
@@ -258,16 +234,9 @@ class _Rows:
         return taken
 
 
-def _table(path: Path) -> Iterator[Columns]:
-    """Yield the columns of `labels.parquet`."""
-    numbers = {label.title: label.value for label in Label}
-    with open_parquet(path) as file:
-        for batch in file.iter_batches(_BATCH, use_threads=False):
-            columns = {name: batch.column(name) for name in batch.schema.names}
-            label = columns.pop(LABEL)
-            codes = np.array([numbers[title] for title in label.dictionary.to_pylist()], np.uint8)
-            values = {name: column.to_numpy() for name, column in columns.items()}
-            yield {LABEL: codes[label.indices.to_numpy()], **values}
+def _table(path: Path, configuration: Configuration) -> Iterator[Columns]:
+    names = [LABEL, "cluster", DENSITY, *([SCORE] if configuration.removal.weighs_evidence else [])]
+    return row_columns(path, names, _BATCH)
 
 
 def _labelled(path: Path, configuration: Configuration) -> Iterator[Columns]:
@@ -282,7 +251,7 @@ def _protected(
     path: Path, collection: MapCollection, configuration: Configuration
 ) -> Iterator[Columns]:
     """Yield the columns of `labels.parquet`, and which points are protected."""
-    rows = _Rows(_table(path))
+    rows = _Rows(_table(path, configuration))
     for _, batch in collection.batches(_BATCH):
         safe = marks(batch, configuration) == PROTECTED
         yield {**rows.take(len(safe)), _SAFE: safe}
@@ -344,7 +313,6 @@ class _ClusterSums:
         self._densest = np.full(clusters, -np.inf)
 
     def add(self, columns: Columns) -> None:
-        """Count some points."""
         for number, rows, density, dynamic in self._clusters(columns):
             self.spared[number] += np.count_nonzero(columns[_SAFE][rows])
             finite = np.isfinite(density)

@@ -45,14 +45,10 @@ logger = logging.getLogger("dynahull")
 
 
 def view_result(folder: Path, recording: Path | None = None) -> None:
-    """Open a window with the result of a run, and return when it is closed.
+    """Open a window with the result in a run's output folder, and return when it is closed.
 
-    Parameters
-    ----------
-    folder : Path
-        An output folder of `run`.
-    recording : Path, optional
-        A file of Rerun's (`.rrd`) to write instead; `rerun FILE` opens it, on any machine.
+    A recording, a file of Rerun's (`.rrd`), is written instead if wanted; `rerun FILE` opens it, on
+    any machine.
 
     Raises
     ------

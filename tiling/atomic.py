@@ -14,20 +14,10 @@ TEMPORARY = ".part"
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Give the name of a temporary file, which takes the name `path` when all went well.
+    """Give a name beside `path` for a temporary file, which takes its place when all went well.
 
-    What was written is flushed to the disk before. Several processes may write the same file at
-    the same time: the last one to finish stays.
-
-    Parameters
-    ----------
-    path : Path
-        In a folder that exists. An earlier file of this name is replaced.
-
-    Yields
-    ------
-    Path
-        A name beside it, for a file that the caller writes and closes.
+    What was written, and closed, is flushed to the disk before. Several processes may write the
+    same file at the same time: the last one to finish stays.
     """
     check_place(path)
     # Not longer than most names: there are names that leave no room for more.

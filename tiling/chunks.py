@@ -1,9 +1,12 @@
 """The map cut into tiles on disk: for each tile a chunk of its own points and of those around."""
 
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import date
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -11,10 +14,120 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.atomic import atomic_file
-from tiling.chunk_store import Chunk, ChunkStore
+from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
-from tiling.formats.parquet_file import open_parquet
+from tiling.formats.parquet_tables import open_parquet
+from tiling.grid import Grid
+from tiling.layout import Layout
 from tiling.output_file import create_file
+from tiling.survey import Survey
+
+ChunkFormat = Literal["parquet", "las", "laz"]
+
+_STORE_FILE = "store.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Points of a tile and around it, in the order of their rows."""
+
+    xyz: NDArray[np.float64]
+    """(n, 3): as the map has them, to the last bit."""
+    rows: NDArray[np.int64]
+    """(n,): row numbers in the whole map."""
+    core: NDArray[np.bool_]
+    """(n,): whether the point lies in the tile's core; otherwise in its halo."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Chunk":
+        """Return some of the points."""
+        if chosen.dtype == np.bool_:
+            chosen = np.flatnonzero(chosen)
+        # Whole rows are taken several times faster than by an index in brackets.
+        return Chunk(self.xyz.take(chosen, axis=0), self.rows.take(chosen), self.core.take(chosen))
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkStore:
+    """A folder for the chunks of one map, cut in one way."""
+
+    folder: Path
+    layout: Layout
+    """The tiles."""
+    halo: float
+    """Width of the halo around each core, metres."""
+    point_count: int
+    """Points of the map, finite or not."""
+    format: ChunkFormat = "parquet"
+    """Of the chunks."""
+    grid: Grid | None = None
+    """Of the coordinates; needed for LAS, see `tiling.chunks.grid_of`."""
+    max_points: int = 1
+    """What a core may hold, unless it is a single column."""
+
+    def __post_init__(self) -> None:
+        if self.format != "parquet" and self.grid is None:
+            raise ValueError(f"chunks of format {self.format} need a grid")
+
+    def make(self) -> None:
+        """Make the folder for chunks."""
+        (self.folder / "chunks").mkdir(parents=True, exist_ok=True)
+
+    def save(self) -> None:
+        """Make the folder, and write what `open` reads."""
+        self.make()
+        with atomic_file(self.folder / _STORE_FILE) as temporary:
+            temporary.write_text(self._description(), encoding="utf-8")
+
+    @classmethod
+    def open(cls, folder: Path) -> "ChunkStore":
+        """Open the store of a folder.
+
+        Raises
+        ------
+        ChunkError
+            When there is none.
+        """
+        path = folder / _STORE_FILE
+        try:
+            stored = json.loads(path.read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError):
+            raise ChunkError(path, "a folder of chunks", "no description of one") from None
+        grid = stored["grid"]
+        return cls(
+            folder,
+            Layout.from_json(stored["layout"]),
+            stored["halo"],
+            stored["point_count"],
+            stored["format"],
+            None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
+            stored["max_points"],
+        )
+
+    def _description(self) -> str:
+        return json.dumps(
+            {
+                "halo": self.halo,
+                "point_count": self.point_count,
+                "format": self.format,
+                "grid": None if self.grid is None else [self.grid.scales, self.grid.offsets],
+                "max_points": self.max_points,
+                "layout": self.layout.to_json(),
+            }
+        )
+
+    def chunk_path(self, tile: int) -> Path:
+        """Return the file of a tile."""
+        return self.folder / "chunks" / f"{tile:06d}.{self.format}"
+
+    def describe(self, tile: int) -> str:
+        """Return a tile's index, its core, and the width of its halo, as JSON."""
+        place = self.layout[tile]
+        low, high = place.low.tolist(), place.high.tolist()
+        return json.dumps({"tile": tile, "low": low, "high": high, "halo": self.halo})
+
 
 _COLUMNS = ("x", "y", "z")
 _CREATED = date(1970, 1, 1)
@@ -132,7 +245,6 @@ def _write_las(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
 
 
 def _read_las(path: Path) -> Chunk:
-    """Read a chunk."""
     laspy: Any = import_module("laspy")
     with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
         points = file.read()
@@ -140,3 +252,56 @@ def _read_las(path: Path) -> Chunk:
         xyz = integers * file.header.scales + file.header.offsets
     rows = np.asarray(points.row).astype(np.int64)
     return Chunk(xyz, rows, np.asarray(points.core).astype(bool))
+
+
+_SCALES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 2.0**-4, 2.0**-8, 2.0**-12, 2.0**-16, 2.0**-20)
+"""Tried where the map has no grid of its own: decimals, and fractions of voxel grids."""
+
+
+def grid_of(collection: MapCollection, survey: Survey) -> Grid:
+    """Find a grid that gives every finite coordinate of a map, which was surveyed, back.
+
+    It is the map's own if it is LAS on one grid; any other map is read until no grid is left.
+
+    Raises
+    ------
+    GridError
+        When there is none.
+    """
+    own = list(dict.fromkeys(reader.description.grid for reader in collection.readers))
+    if collection.metres is not None or collection.is_moved:
+        own = [None]  # what was multiplied or turned is on it no more
+    if len(own) == 1 and own[0] is not None:
+        return own[0]
+    candidates = [*(grid for grid in own if grid is not None), *_grids_within(survey)]
+    lost = survey.maximum
+    for _, batch in collection.batches():
+        xyz = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+        for grid in list(candidates):
+            off = np.flatnonzero(~grid.holds(xyz))
+            if len(off):
+                candidates.remove(grid)
+                lost = xyz[off[0]]
+        if not candidates:
+            raise GridError(collection.name, lost)
+    return candidates[0]
+
+
+def _grids_within(survey: Survey) -> Iterator[Grid]:
+    """Yield the grids whose integers of 32 bits reach over the map."""
+    if not survey.finite_count:
+        yield Grid((_SCALES[1],) * 3, (0.0,) * 3)
+        return
+    ends = np.array([survey.minimum, survey.maximum])
+    middle = np.floor(ends[0] / 2 + ends[1] / 2)
+    for scale in _SCALES:
+        for offset in (np.zeros(3), middle):
+            grid = Grid((scale,) * 3, _triple(offset))
+            if grid.reaches(ends):
+                yield grid
+                break
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -20,8 +20,6 @@ from tiling.key_frames import ScanPoses, find_poses, scan_folder
 
 _HASH_BLOCK = 1 << 20
 
-"""A suffix that much else has, too: beside other maps such files are passed over."""
-
 _SEVERAL_MAPS: tuple[frozenset[str], ...] = (
     frozenset({"static", "dynamic"}),
     frozenset({"globalmap", "surfmap"}),

@@ -13,10 +13,8 @@ if TYPE_CHECKING:
 class TilingError(Exception):
     """Base class of every error that this package raises on purpose.
 
-    Parameters
-    ----------
-    message : str
-        Made one printable line, and cut where it is too long: it may quote what a file holds.
+    The message is made one printable line, and cut where it is too long: it may quote what a file
+    holds.
     """
 
     def __init__(self, message: str) -> None:
@@ -28,12 +26,8 @@ class MapFormatError(TilingError):
 
     Parameters
     ----------
-    path : Path
-        The file.
-    expected : str
-        What the format demands there.
-    found : str
-        What the file holds instead.
+    expected, found : str
+        What the format demands, and what the file holds instead.
     at : str, optional
         Where, for example `"byte 227"` or `"line 11"`.
     """
@@ -61,15 +55,7 @@ class PointCountError(TilingError):
 
 
 class PartsError(TilingError):
-    """An output was to be written in parts whose format does not allow it.
-
-    Parameters
-    ----------
-    path : Path
-        The map that the output is to be like.
-    format : str
-        Its kind and variant.
-    """
+    """An output was to be written in parts whose format does not allow it."""
 
     def __init__(self, path: Path, format: str) -> None:
         self.path = path
@@ -79,17 +65,7 @@ class PartsError(TilingError):
 
 
 class RowRangeError(TilingError):
-    """Rows were asked for that a map does not have.
-
-    Parameters
-    ----------
-    name : str
-        What the map is called.
-    rows : range
-        What was asked for.
-    point_count : int
-        Points in the map.
-    """
+    """Rows were asked for that a map does not have."""
 
     def __init__(self, name: str, rows: range, point_count: int) -> None:
         self.rows = rows
@@ -99,15 +75,7 @@ class RowRangeError(TilingError):
 
 
 class NoMapError(TilingError):
-    """The files, folders or patterns given name no map.
-
-    Parameters
-    ----------
-    argument : str
-        What was given.
-    found : str
-        What it names instead.
-    """
+    """The files, folders or patterns given name no map."""
 
     def __init__(self, argument: str, found: str) -> None:
         self.argument = argument
@@ -125,15 +93,7 @@ class ChunkError(MapFormatError):
 
 
 class GridError(TilingError):
-    """Coordinates are on no grid that LAS can keep: they would not come back as they are.
-
-    Parameters
-    ----------
-    name : str
-        What the map is called.
-    xyz : (3,) array
-        A point that no grid gives back.
-    """
+    """Coordinates are on no grid that LAS can keep: they would not come back as they are."""
 
     def __init__(self, name: str, xyz: "NDArray[np.float64]") -> None:
         self.xyz = xyz

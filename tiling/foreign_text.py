@@ -16,17 +16,10 @@ _CUT = "..."
 
 
 def printable(text: object, most: int = LONGEST_FOREIGN) -> str:
-    """Return text of one line, without control characters, cut where it is too long.
+    """Return what `str` says of anything, as one line without control characters, cut if too long.
 
     Escape sequences, line ends, marks that turn the direction of writing, and bytes of file names
     that are no text are written out: see `escaped`.
-
-    Parameters
-    ----------
-    text : object
-        Of which `str` is taken.
-    most : int
-        Characters of the result.
     """
     line = escaped(str(text)[: most + 1])
     return line if len(line) <= most else line[: most - len(_CUT)] + _CUT

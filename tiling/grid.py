@@ -10,16 +10,11 @@ _LARGEST = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Coordinates as 32-bit integers: coordinate = integer * scale + offset.
-
-    Attributes
-    ----------
-    scales, offsets : tuple of three float
-        Of x, y and z.
-    """
+    """Coordinates as 32-bit integers: coordinate = integer * scale + offset."""
 
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
+    """Of x, y and z."""
 
     def coordinates(self, integers: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return the coordinates of integers, both (n, 3)."""
@@ -54,17 +49,6 @@ class Grid:
 
 
 def integers_in_records(records: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Return a view of the integers that raw records of LAS begin with.
-
-    Parameters
-    ----------
-    records : (n, record_length) uint8 array
-        Contiguous.
-
-    Returns
-    -------
-    (n, 3) int32 array
-        Those of x, y and z, not aligned.
-    """
+    """Return a view of x, y and z of contiguous raw records of LAS, (n, 3) int32, not aligned."""
     strides = (records.shape[1], 4)
     return np.ndarray((len(records), 3), dtype="<i4", buffer=records, strides=strides)

@@ -38,17 +38,11 @@ def bytes_kept(collection: MapCollection) -> int:
 
 @dataclass(frozen=True)
 class KeptPoints:
-    """A file of the points of a map, row by row.
-
-    Attributes
-    ----------
-    path : Path
-    collection : MapCollection
-        The map.
-    """
+    """A file of the points of a map, row by row."""
 
     path: Path
     collection: MapCollection
+    """The map."""
 
     @cached_property
     def has_records(self) -> bool:
@@ -65,12 +59,7 @@ class KeptPoints:
         make_sized(self.path, self.size)
 
     def keep(self, batches: Iterator[tuple[int, PointBatch]]) -> Iterator[PointBatch]:
-        """Write points as they pass; they are on the disk at the end.
-
-        Parameters
-        ----------
-        batches : iterator of (int, PointBatch)
-            As `MapCollection.batches` yields them.
+        """Write points of `MapCollection.batches` as they pass; they are on the disk at the end.
 
         Raises
         ------

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.compiled import compiled, helper
-from tiling.morton import morton_before, morton_order
 from tiling.occupancy import FARTHEST, Occupancy
 
 NO_TILE = -1
@@ -30,45 +29,30 @@ _Places = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """One tile.
-
-    Attributes
-    ----------
-    index : int
-        Its number in the layout.
-    low, high : (2,) float64 arrays
-        Core: low <= x, y < high, metres; infinite at the edge of the lattice.
-    point_count : int
-        Points in the core.
-    """
+    """One tile."""
 
     index: int
+    """Its number in the layout."""
     low: Corners
     high: Corners
+    """(2,), the core: low <= x, y < high, metres; infinite at the edge of the lattice."""
     point_count: int
+    """Points in the core."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The tiles of a map, in Morton order: near in order is near in place.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a lattice column, metres.
-    origin : (2,) int64 array
-        Column at which the root of the quadtree begins.
-    begins, ends : (T, 2) int64 arrays
-        Cores in columns, half-open, no larger than the points in them need.
-    counts : (T,) int64 array
-        Points in each core.
-    """
+    """The tiles of a map, in Morton order: near in order is near in place."""
 
     cell: float
+    """Side of a lattice column, metres."""
     origin: Columns
+    """(2,): column at which the root of the quadtree begins."""
     begins: Columns
     ends: Columns
+    """(T, 2): cores in columns, half-open, no larger than the points in them need."""
     counts: NDArray[np.int64]
+    """(T,): points in each core."""
 
     def typical_place(self) -> NDArray[np.float64]:
         """Return the median distance of tiles from the origin along x and y, (3,), weighted.
@@ -113,17 +97,9 @@ class Layout:
         return np.flatnonzero(self.counts > max_points)
 
     def tile_of(self, xyz: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return the tile whose core each point lies in.
+        """Return the tile whose core each point of the map lies in, (n,) int32.
 
-        Parameters
-        ----------
-        xyz : (n, 3) float64 array
-            Points of the map that was surveyed.
-
-        Returns
-        -------
-        (n,) int32 array
-            Index of the tile; `NO_TILE` where a coordinate is not finite.
+        It is `NO_TILE` where a coordinate is not finite.
         """
         tiles = np.empty(len(xyz), np.int32)
         _find_tiles(xyz, 1 / self.cell, self.origin, self.begins, self.ends, tiles)
@@ -160,19 +136,9 @@ class Layout:
 
 
 def quadtree(occupancy: Occupancy, max_points: int) -> Layout:
-    """Cut a map into tiles of at most so many points.
+    """Cut a map into tiles of at most so many points, none of which is empty.
 
-    Parameters
-    ----------
-    occupancy : Occupancy
-        Of the whole map.
-    max_points : int
-        Points in a core, at most; a single column that holds more stays whole.
-
-    Returns
-    -------
-    Layout
-        Without empty tiles; no tiles for a map without finite points.
+    A single column that holds more stays whole. A map without finite points has no tiles.
     """
     if not len(occupancy.counts):
         nothing = np.empty((0, 2), np.int64)
@@ -294,3 +260,52 @@ def _last_begun(x: np.int64, y: np.int64, origin: Columns, begins: Columns) -> i
         else:
             low = middle
     return low
+
+
+_HALF = 31
+"""Bits of each coordinate in one key; two keys take coordinates to 2^62."""
+
+_SPREADS = (
+    (16, 0x0000FFFF0000FFFF),
+    (8, 0x00FF00FF00FF00FF),
+    (4, 0x0F0F0F0F0F0F0F0F),
+    (2, 0x3333333333333333),
+    (1, 0x5555555555555555),
+)
+
+
+def morton_order(columns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the order of columns along the Z curve (Morton 1966), (n,): near in it is near.
+
+    The order is that of the bits of x and y, from 0 to 2^62, taken in turn, from the highest, those
+    of x first. So every node of a quadtree over the lattice is one run of it.
+    """
+    low = _interleaved(columns & (1 << _HALF) - 1)
+    if columns.max(initial=0) >> _HALF == 0:
+        return np.argsort(low, kind="stable")
+    return np.lexsort((low, _interleaved(columns >> _HALF)))
+
+
+def _interleaved(columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the bits of x and y, below 2^31, in turn."""
+    return _spread(columns[:, 0]) << 1 | _spread(columns[:, 1])
+
+
+def _spread(bits: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Put a zero above each bit (Anderson, Bit Twiddling Hacks: interleave by magic numbers)."""
+    for shift, mask in _SPREADS:
+        bits = (bits | bits << shift) & mask
+    return bits
+
+
+@helper
+def morton_before(x: np.int64, y: np.int64, other_x: np.int64, other_y: np.int64) -> bool:
+    """Tell whether a column comes before another: the highest bit that differs decides.
+
+    Of two differences, the one with the higher highest bit is found without looking for that bit
+    (Chan 2002, Closest-point problems simplified on the RAM).
+    """
+    difference_x, difference_y = x ^ other_x, y ^ other_y
+    if difference_x < difference_y and difference_x < difference_x ^ difference_y:
+        return bool(y < other_y)
+    return bool(x < other_x)

@@ -18,24 +18,16 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """Bytes that were written.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    start : int or None
-        First byte; None where they are the whole file.
-    size : int
-        How many; zero from a byte on means that the file ends there.
-    checksum : int
-        CRC-32: as fast as memory is read, and no chance change of a few bits has the same.
-    """
+    """Bytes that were written."""
 
     path: Path
+    """The file."""
     start: int | None
+    """First byte; None where they are the whole file."""
     size: int
+    """How many; zero from a byte on means that the file ends there."""
     checksum: int
+    """CRC-32: as fast as memory is read, and no chance change of a few bits has the same."""
 
     def is_intact(self) -> bool:
         """Tell whether the file is there, and holds these bytes."""

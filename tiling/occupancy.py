@@ -26,20 +26,14 @@ Columns = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """Points in each occupied column of a square lattice anchored at the coordinates' origin.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a column, metres: `FINEST_CELL` times a power of two.
-    columns : (M, 2) int64 array
-        floor(x / cell), floor(y / cell) of the occupied columns, in lexicographic order.
-    counts : (M,) int64 array
-    """
+    """Points in each occupied column of a square lattice anchored at the coordinates' origin."""
 
     cell: float
+    """Side of a column, metres: `FINEST_CELL` times a power of two."""
     columns: Columns
+    """(M, 2): floor(x / cell), floor(y / cell) of the occupied columns, in lexicographic order."""
     counts: NDArray[np.int64]
+    """(M,)"""
 
     def without(self, xyz: NDArray[np.float64]) -> "Occupancy":
         """Return the occupancy without some of the points that it counts, few of them."""
@@ -72,17 +66,9 @@ def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
 def count_within(
     occupancy: Occupancy, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Count the points in boxes, a column counting whole where its middle is inside.
+    """Count the points in boxes, (n,), a column counting whole where its middle is inside.
 
-    Parameters
-    ----------
-    occupancy : Occupancy
-    low, high : (n, 2) float64 arrays
-        The boxes: low <= x, y < high, metres; may be infinite.
-
-    Returns
-    -------
-    (n,) int64 array
+    The boxes are low <= x, y < high, (n, 2), metres; they may be infinite.
     """
     totals = np.append(0, np.cumsum(occupancy.counts))
     begins, ends = (_first_columns(edge, occupancy.cell) for edge in (low, high))

@@ -29,10 +29,7 @@ _folder: ContextVar[Path | None] = ContextVar("output folder", default=None)
 def writing_only_into(folder: Path) -> Iterator[None]:
     """Refuse, in this block, to open a file for writing that lies outside a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Compared with places as the system resolves them, links and `..` included.
+    Places are compared as the system resolves them, links and `..` included.
     """
     token = _folder.set(folder.resolve())
     try:

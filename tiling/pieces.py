@@ -12,13 +12,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.chunk_store import Chunk, ChunkStore
+from tiling.chunks import Chunk, ChunkStore
+from tiling.compiled import compiled, helper
 from tiling.errors import ChunkError
-from tiling.formats.points import PointBatch
-from tiling.tile_sorter import TileSorter
-
-POINTS_AT_A_TIME = 500_000
-"""Points that are read, and sorted by tile, at a time."""
+from tiling.formats.points import DEFAULT_BATCH, PointBatch
+from tiling.layout import NO_TILE, Layout
 
 
 class PointSource(Protocol):
@@ -31,15 +29,7 @@ class PointSource(Protocol):
 def sort_by_tile(
     store: ChunkStore, source: PointSource, rows: range
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return a piece: points, (n, 4), and runs, (R, 3).
-
-    Parameters
-    ----------
-    store : ChunkStore
-    source : PointSource
-        The map.
-    rows : range
-        Consecutive row numbers.
+    """Return a piece of consecutive rows of the map: points, (n, 4), and runs, (R, 3).
 
     Raises
     ------
@@ -50,7 +40,7 @@ def sort_by_tile(
     """
     sorter = TileSorter(store.layout, store.halo)
     sorted_points, runs, written = [np.empty((0, 4))], [np.empty((0, 3), np.int64)], 0
-    for _, batch in source.batches(POINTS_AT_A_TIME, rows):
+    for _, batch in source.batches(DEFAULT_BATCH, rows):
         points, counts = sorter.by_tile(batch.xyz, batch.first_row)
         tiles = np.flatnonzero(counts)
         sizes = counts[tiles]
@@ -79,3 +69,102 @@ def gathered(store: ChunkStore, tile: int, runs: Sequence[NDArray[np.float64]]) 
             f"{found}: damaged pieces, or those of another map",
         )
     return Chunk(np.ascontiguousarray(points[:, :3]), np.where(core, marked, ~marked), core)
+
+
+Points = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Boxes = tuple[Points, Points]
+"""Corner of the smallest, and of the largest, coordinates of each tile's box: (T, 2) each."""
+
+
+class TileSorter:
+    """Sorts points by tile: once for the tile whose core they are in, and once for each halo.
+
+    Positions are counted first and filled then, so that no list of points grows. The halo is in
+    metres.
+    """
+
+    def __init__(self, layout: Layout, halo: float) -> None:
+        self._layout = layout
+        self._reached = layout.low - halo, layout.high + halo
+        # In here no other tile's halo reaches: rounding is monotonic, so not by a bit either.
+        self._inner = layout.low + halo, layout.high - halo
+        # For each tile, the others whose halo reaches into its core: found when it is met.
+        self._others: dict[int, Integers] = {}
+
+    def by_tile(self, xyz: Points, first_row: int) -> tuple[NDArray[np.float64], Integers]:
+        """Return points sorted by tile, as pieces hold them, and how many are of each tile."""
+        tiles = self._layout.tile_of(xyz)
+        fixed = (xyz, tiles, *self._tables(tiles), self._inner, self._reached, first_row)
+        counts = np.zeros(len(self._layout), np.int64)
+        nowhere = np.empty((0, 4))
+        _place(*fixed, counts, nowhere, nowhere.view(np.int64))
+        points = np.empty((int(counts.sum()), 4))
+        _place(*fixed, np.cumsum(counts) - counts, points, points.view(np.int64))
+        return points, counts
+
+    def _tables(self, tiles: NDArray[np.int32]) -> tuple[Integers, Integers]:
+        """Return, end to end, the other tiles to look at for points of each tile, and where.
+
+        Those of tile t are others[starts[t] : starts[t + 1]].
+        """
+        sizes = np.zeros(len(self._layout) + 1, np.int64)
+        lists = [np.empty(0, np.int64)]
+        present = np.bincount(tiles + 1, minlength=len(self._layout) + 1)[1:]
+        for tile in np.flatnonzero(present).tolist():
+            if tile not in self._others:
+                self._others[tile] = self._find_others(tile)
+            lists.append(self._others[tile])
+            sizes[tile + 1] = len(lists[-1])
+        return np.cumsum(sizes), np.concatenate(lists)
+
+    def _find_others(self, tile: int) -> Integers:
+        layout = self._layout
+        near = layout.near(self._reached[0][tile], self._reached[1][tile])
+        return np.asarray(near[near != tile], np.int64)
+
+
+@helper
+def _is_inside(x: float, y: float, boxes: Boxes, tile: int) -> bool:
+    low, high = boxes
+    along_x = low[tile, 0] <= x < high[tile, 0]
+    return bool(along_x and low[tile, 1] <= y < high[tile, 1])
+
+
+@compiled
+def _place(
+    xyz: Points,
+    tiles: NDArray[np.int32],
+    starts: Integers,
+    others: Integers,
+    inner: Boxes,
+    reached: Boxes,
+    first_row: int,
+    places: Integers,
+    points: Points,
+    marks: Integers,
+) -> None:
+    """Put each point at the next place of each of its tiles; `marks` are the same bytes.
+
+    Where there is no room at all, places are only counted.
+    """
+    counts_only = len(points) == 0
+    for point in range(len(xyz)):
+        tile = tiles[point]
+        if tile == NO_TILE:
+            continue
+        if not counts_only:
+            for axis in range(3):
+                points[places[tile], axis] = xyz[point, axis]
+            marks[places[tile], 3] = first_row + point
+        places[tile] += 1
+        if _is_inside(xyz[point, 0], xyz[point, 1], inner, tile):
+            continue
+        for place in range(starts[tile], starts[tile + 1]):
+            other = others[place]
+            if _is_inside(xyz[point, 0], xyz[point, 1], reached, other):
+                if not counts_only:
+                    for axis in range(3):
+                        points[places[other], axis] = xyz[point, axis]
+                    marks[places[other], 3] = ~(first_row + point)
+                places[other] += 1

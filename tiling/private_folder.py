@@ -20,17 +20,8 @@ _OTHERS_MAY_ENTER = stat.S_IRWXG | stat.S_IRWXO
 def private_folder(name: str, configured: str = "") -> Path | None:
     """Return the first folder of a name that is this user's alone, made if it is not there.
 
-    Parameters
-    ----------
-    name : str
-        Within one of the configured folder, the user's cache and that for temporary files.
-    configured : str
-        Looked at first, if it is not empty.
-
-    Returns
-    -------
-    Path or None
-        A folder that can be written, None where there is none.
+    It is looked for in the configured folder, if there is one, the user's cache and that for
+    temporary files; None where none can be written.
     """
     user = f"dynahull-{os.getuid()}"
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111

@@ -32,15 +32,12 @@ def typical_place(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def coarse_step_notes(
-    collection: MapCollection,
-    place: NDArray[np.float64],
-    metres: NDArray[np.float64] | None = None,
+    collection: MapCollection, place: NDArray[np.float64], metres: NDArray[np.float64] | None = None
 ) -> list[str]:
     """Say in which steps coordinates are kept, where these are coarse.
 
     Parameters
     ----------
-    collection : MapCollection
     place : (3,) float64 array
         Where the points lie, metres from the origin, see `typical_place`. Scans with poses lie
         around their own origin, whatever it says.

@@ -18,25 +18,18 @@ from tiling.occupancy import ColumnCounter, Occupancy
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What is known of a map, or of a part of it.
-
-    Attributes
-    ----------
-    point_count : int
-        All points.
-    finite_count : int
-        Points whose coordinates are finite.
-    minimum, maximum : (3,) float64 arrays
-        Bounds of the finite points, metres; infinities the wrong way round if there are none.
-    occupancy : Occupancy
-        Of the finite points.
-    """
+    """What is known of a map, or of a part of it."""
 
     point_count: int
+    """All points."""
     finite_count: int
+    """Points whose coordinates are finite."""
     minimum: NDArray[np.float64]
     maximum: NDArray[np.float64]
+    """(3,): bounds of the finite points, metres; infinities the wrong way round if there are
+    none."""
     occupancy: Occupancy
+    """Of the finite points."""
 
     def without(
         self, xyz: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
@@ -76,18 +69,7 @@ class Survey:
 
 
 def survey(collection: MapCollection, rows: range | None = None) -> Survey:
-    """Survey a map, or some rows of it.
-
-    Parameters
-    ----------
-    collection : MapCollection
-        The map.
-    rows : range, optional
-        Consecutive row numbers; otherwise all.
-
-    Returns
-    -------
-    Survey
+    """Survey a map, or some consecutive rows of it.
 
     Raises
     ------

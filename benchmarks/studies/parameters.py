@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from benchmarks.studies.labelled import LabelledMap
 from dynahull import MethodParameters, clean
-from dynahull.removal import remove_least_dense
-from dynahull.rescale import removal_percentages
+from dynahull.removal import removal_percentages, remove_least_dense
 from dynahull.result import CleaningResult
 
 __all__ = ["over_clusters", "over_neighbours", "over_ranges"]

@@ -20,8 +20,6 @@ from dynahull.ground.reach import FLAT_RADIUS
 from dynahull.summary import Summary
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["are_flat", "are_floors", "outlines"]
-
 _SMALLEST_RANGE = 500
 """Levels."""
 
@@ -192,20 +190,10 @@ def are_floors(
 
     Parameters
     ----------
-    levels : Levels
-        Those to judge.
     heights : (n,) float64 array
-        Of the columns, as `outlines` returns them, metres.
+        Of the lattice's columns, as `outlines` returns them, metres.
     starts : (slots + 1,) int64 array
         Where those of each slot begin.
-    lattice : Lattice
-        Where the columns are.
-    p : SlopeParameters
-        `storey_radius`, `slope` and `cell` are used.
-    clearance : float
-        Metres.
-    threads : int
-        They change nothing about the result.
     """
     offsets = disk_offsets(p.expert.storey_radius / p.expert.cell / _STRIDE) * _STRIDE
     reaches = _MARGIN + p.slope * distances_of(offsets, p.expert.cell)

@@ -13,8 +13,6 @@ from dynahull.extras import install_command
 from dynahull.ground.lattice import Booleans, Floats
 from dynahull.ground.parameters import ClothParameters
 
-__all__ = ["cloth_ground", "cloth_library"]
-
 _MOST_PARTICLES = 5e7
 """Of the cloth; each takes some hundred bytes."""
 
@@ -38,14 +36,7 @@ def cloth_library() -> Any:
 
 
 def cloth_ground(points: Floats, p: ClothParameters) -> Booleans:
-    """Tell which points lie on a cloth that falls on the map turned upside down.
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-        Finite coordinates, metres.
-    p : ClothParameters
-        See there.
+    """Tell which points, (N, 3), lie on a cloth that falls on the map turned upside down.
 
     Raises
     ------

@@ -8,8 +8,6 @@ from dynahull.compilation import compiled, helper
 from dynahull.ground.lattice import Booleans, Floats, Integers, number_columns, starts_of
 from dynahull.threads import group_bounds, over_ranges
 
-__all__ = ["Columns", "first_above", "first_from", "sort_columns"]
-
 _SMALLEST_RANGE = 20_000
 """Points."""
 
@@ -48,17 +46,7 @@ class Columns(NamedTuple):
 
 
 def sort_columns(points: Floats, cell: float, threads: int = 1) -> Columns:
-    """Sort points by their cell and their height.
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-        Metres.
-    cell : float
-        Side of a cell, metres.
-    threads : int
-        They change nothing about the result.
-    """
+    """Sort points, (N, 3), by their cell and their height, all in metres."""
     numbers, cells = number_columns(points, cell, threads)
     starts = starts_of(numbers, len(cells))
     columns = Columns(np.empty(len(points)), np.empty(len(points), np.int64), starts, cells)

@@ -15,8 +15,6 @@ from dynahull.ground.reach import FOOT_PARTS
 from dynahull.ground.surface import NOISE, SLOPE_X, SLOPE_Y, Surface, height_over
 from dynahull.threads import over_ranges
 
-__all__ = ["decide"]
-
 _FOOT_HEIGHT = 0.3
 """Metres; what stands on the ground is looked for so high above it."""
 
@@ -24,25 +22,7 @@ _FOOT_HEIGHT = 0.3
 def decide(
     points: Floats, columns: Columns, surface: Surface, p: SlopeParameters, threads: int = 1
 ) -> Booleans:
-    """Tell which points are ground.
-
-    Parameters
-    ----------
-    points : (N, 3) float64 array
-        Metres.
-    columns : Columns
-        The same points by cell.
-    surface : Surface
-        Of the ground, over the columns' cells.
-    p : SlopeParameters
-        The tolerances, `steepest`, `cell` and `foot` are used.
-    threads : int
-        They change nothing about the result.
-
-    Returns
-    -------
-    (N,) bool array
-    """
+    """Tell which points are ground, (N,): those near the surface over their columns."""
     ground = np.zeros(len(points), np.bool_)
     tolerances = np.array(
         [

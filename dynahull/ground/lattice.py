@@ -13,20 +13,6 @@ import numpy.typing as npt
 from dynahull.compilation import compiled, helper, inlined
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = [
-    "Booleans",
-    "Floats",
-    "Integers",
-    "Lattice",
-    "build_lattice",
-    "disk_offsets",
-    "distances_of",
-    "lattice_of_cells",
-    "number_columns",
-    "slot_at",
-    "starts_of",
-]
-
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Booleans = npt.NDArray[np.bool_]
@@ -80,12 +66,8 @@ def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -
     ----------
     points : (N, 2 or more) float64 array
         Finite coordinates, metres; x and y are used.
-    cell : float
-        Side of a cell, metres.
     reach : float
         Metres; the widest window that will be read about a cell.
-    threads : int
-        They change nothing about the result.
     """
     slots = np.empty(len(points), np.int64)
     bounds = range_bounds(len(points), threads, _SMALLEST_RANGE)

@@ -10,8 +10,6 @@ from dynahull.ground.lattice import Booleans, Floats, Integers, Lattice
 from dynahull.summary import Summary
 from dynahull.threads import over_ranges
 
-__all__ = ["Levels", "find_levels", "levels_of"]
-
 _FEWEST_FOR_SPREAD = 3
 
 
@@ -51,17 +49,6 @@ def find_levels(
     hold no more than `clutter` times its own points; of layers that overlap the fullest stands,
     the lowest if equal. The lowest layer of a column is a level in any case: what stands on a
     floor hides none of the lowest floor.
-
-    Parameters
-    ----------
-    columns : Columns
-        The points.
-    thickness, clearance : float
-        Metres.
-    clutter : float
-        Share.
-    threads : int
-        They change nothing about the result.
     """
     found = over_ranges(
         lambda first, end: _find_levels(

@@ -19,8 +19,6 @@ from dynahull.ground.levels import Levels
 from dynahull.ground.parameters import SlopeParameters
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["stand_out"]
-
 _SMALLEST_RANGE = 4_000
 """Levels; there are two calls for every growth of the disk."""
 

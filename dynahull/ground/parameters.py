@@ -2,16 +2,10 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
-
-__all__ = ["ClothParameters", "GroundParameters", "SlopeExpert", "SlopeParameters"]
+from pydantic import BaseModel, Field
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SlopeExpert(_Section):
+class SlopeExpert(BaseModel, extra="forbid", frozen=True):
     """What the slope method seldom needs to be told: how it looks, and how near is near."""
 
     cell: float = Field(
@@ -101,7 +95,7 @@ class SlopeExpert(_Section):
     )
 
 
-class SlopeParameters(_Section):
+class SlopeParameters(BaseModel, extra="forbid", frozen=True):
     """The ground from the slope of the surface under each point.
 
     The defaults suit maps of buildings and streets seen from the ground; `configs/outdoor.yaml`
@@ -148,7 +142,7 @@ class SlopeParameters(_Section):
     )
 
 
-class ClothParameters(_Section):
+class ClothParameters(BaseModel, extra="forbid", frozen=True):
     """Cloth simulation (Zhang et al. 2016), by the package cloth-simulation-filter."""
 
     cloth_resolution: float = Field(
@@ -177,7 +171,7 @@ class ClothParameters(_Section):
     )
 
 
-class GroundParameters(_Section):
+class GroundParameters(BaseModel, extra="forbid", frozen=True):
     """How the ground is found."""
 
     method: Literal["slope", "csf", "none", "las_class"] = Field(

@@ -38,7 +38,6 @@ def points_around(parameters: GroundParameters, heights: bool, border: float) ->
 
     Parameters
     ----------
-    parameters : GroundParameters
     heights : bool
         Whether heights are asked for.
     border : float

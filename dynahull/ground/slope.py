@@ -32,15 +32,6 @@ from dynahull.ground.surface import Surface, fit_surface, height_over
 from dynahull.summary import Summary
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = [
-    "GroundSummary",
-    "compile_once",
-    "floors_of",
-    "height_above",
-    "slope_ground",
-    "summarise",
-]
-
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
 
@@ -69,24 +60,17 @@ def compile_once() -> None:
 def slope_ground(
     points: Floats, p: SlopeParameters, threads: int = 1, around: GroundSummary | None = None
 ) -> Booleans:
-    """Tell which points are ground.
+    """Tell which points are ground, (N,).
+
+    The answer is the same for any order of the points, for any number of threads, and for any part
+    of a map that holds, with a point, all those of its column within a quarter of a cell.
 
     Parameters
     ----------
     points : (N, 3) float64 array
         Finite coordinates, metres.
-    p : SlopeParameters
-        See there.
-    threads : int
-        They change nothing about the result.
     around : GroundSummary, optional
         Of all columns within `ground_radius` of the points; by default these are all.
-
-    Returns
-    -------
-    (N,) bool array
-        The same for any order of the points, and for any part of a map that holds, with a point,
-        all those of its column within a quarter of a cell.
     """
     columns = sort_columns(points, p.expert.cell, threads)
     around = summarise(columns, p, threads) if around is None else around
@@ -103,7 +87,6 @@ def summarise(columns: Columns, p: SlopeParameters, threads: int = 1) -> GroundS
 
 
 def _surface(around: GroundSummary, cells: Integers, p: SlopeParameters, threads: int) -> Surface:
-    """Return the surface of the ground over some cells."""
     clearance = np.inf if p.clearance is None else p.clearance
     storey = _STOREY_TO_CLEARANCE * clearance
     reach = max(p.window, p.expert.storey_radius, p.expert.extension, FLAT_RADIUS * p.expert.cell)
@@ -150,14 +133,7 @@ def height_above(points: Floats, floors: Summary, p: SlopeParameters, threads: i
     heights = np.full(len(points), np.nan)
     over_ranges(
         lambda first, end: _height_above(
-            points,
-            numbers,
-            *surface,
-            p.expert.cell,
-            p.expert.tolerance_limit,
-            first,
-            end,
-            heights,
+            points, numbers, *surface, p.expert.cell, p.expert.tolerance_limit, first, end, heights
         ),
         range_bounds(len(points), threads, _SMALLEST_RANGE),
         threads,

@@ -17,8 +17,6 @@ from dynahull.ground.lattice import (
 from dynahull.ground.levels import Levels
 from dynahull.threads import over_ranges, range_bounds
 
-__all__ = ["HEIGHT", "NOISE", "SLOPE_X", "SLOPE_Y", "Surface", "fit_surface", "height_over"]
-
 HEIGHT, SLOPE_X, SLOPE_Y, NOISE = range(4)
 """Columns of `Surface.planes`."""
 
@@ -63,10 +61,6 @@ def fit_surface(
 
     Parameters
     ----------
-    levels : Levels
-        Those of the ground.
-    lattice : Lattice
-        Where their columns are.
     wanted : (cells,) int64 array
         Slots to fit planes for.
     extension : float
@@ -75,8 +69,6 @@ def fit_surface(
         Levels closer in height than this belong to one plane, metres.
     thickness : float
         Of a layer, metres: its spread where it has too few points is that of an even layer.
-    threads : int
-        They change nothing about the result.
     """
     offsets = disk_offsets(extension / lattice.cell)
     near = np.zeros(lattice.slot_count, np.bool_)

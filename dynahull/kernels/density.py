@@ -60,7 +60,7 @@ def hull_densities(
 
     v is the volume of the convex hull of the k nearest points, the point itself included; ties of
     distance go to the smaller row number. It is zero where the points are flat, by
-    `FLATNESS` of `dynahull.reference.hull`. The result for a point is a function of the coordinates
+    `FLATNESS` of `dynahull.reference`. The result for a point is a function of the coordinates
     of its neighbours in their order, to the last bit: whatever else is in the cluster, however it
     is ordered, and whichever points are queries.
 

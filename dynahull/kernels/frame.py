@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dynahull.kernels.compiled import inlined
 from dynahull.kernels.lanes import aligned, padded
 from dynahull.kernels.vectors import extremes, largest
-from dynahull.reference.hull import FLATNESS
+from dynahull.reference import FLATNESS
 
 STEP = 2.0**-50
 """The grid's step, in units of the frame."""

@@ -34,18 +34,12 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class JobState:
-    """What a batch system says of a job.
-
-    Attributes
-    ----------
-    word : str
-        Its own word for it.
-    phase : Phase
-        What that means.
-    """
+    """What a batch system says of a job."""
 
     word: str
+    """Its own word for it."""
     phase: Phase
+    """What that means."""
 
     @property
     def alive(self) -> bool:
@@ -72,20 +66,14 @@ class JobDescription:
 
 
 class BatchSystem:
-    """A batch system; subclasses say what is its own.
-
-    Attributes
-    ----------
-    name : str
-        As in the configuration.
-    submit, cancel : tuple of str
-        Commands that are followed by the script, and by the number of a job.
-    """
+    """A batch system; subclasses say what is its own."""
 
     name: str
+    """As in the configuration."""
     cluster_class: str
     submit: tuple[str, ...]
     cancel: tuple[str, ...]
+    """Commands that are followed by the script, and by the number of a job."""
     reads_standard_input = False
     number = r"(\d+)"
     script_suffix = ".sh"
@@ -167,12 +155,7 @@ class BatchSystem:
         """Return what a command prints; nothing where its complaint matches `gone`."""
         try:
             done = subprocess.run(
-                command,
-                stdin=stdin,
-                capture_output=True,
-                text=True,
-                timeout=_PATIENCE,
-                check=False,
+                command, stdin=stdin, capture_output=True, text=True, timeout=_PATIENCE, check=False
             )
         except FileNotFoundError:
             raise ClusterError(f"{self.name}: the command {command[0]} was not found") from None

@@ -24,18 +24,12 @@ _WORKERS = "workers.json"
 
 @dataclass(frozen=True, slots=True)
 class RecordedJobs:
-    """Jobs of a run: the one that `submit` handed over, or those of the workers it has now.
-
-    Attributes
-    ----------
-    system : str
-        Name of the batch system.
-    jobs : tuple of str
-        Their numbers.
-    """
+    """Jobs of a run: the one that `submit` handed over, or those of the workers it has now."""
 
     system: str
+    """Name of the batch system."""
     jobs: tuple[str, ...]
+    """Their numbers."""
 
     def states(self) -> dict[str, JobState]:
         """Ask the batch system for their states.

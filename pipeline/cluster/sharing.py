@@ -18,24 +18,16 @@ TOPIC = "dynahull-refused"
 
 @dataclass(frozen=True, slots=True)
 class SharedFiles:
-    """What every worker must find where the run finds it.
-
-    Attributes
-    ----------
-    folder : str
-        The work folder, to be read and written.
-    token : str
-        Name of a file in it that the run made just now.
-    sizes : tuple of (str, int)
-        The map's files and their bytes.
-    version : str
-        Of this package: another one may give other results.
-    """
+    """What every worker must find where the run finds it."""
 
     folder: str
+    """The work folder, to be read and written."""
     token: str
+    """Name of a file in it that the run made just now."""
     sizes: tuple[tuple[str, int], ...]
+    """The map's files and their bytes."""
     version: str
+    """Of this package: another one may give other results."""
 
     @classmethod
     def of(cls, folder: Path, maps: Sequence[Path]) -> "SharedFiles":

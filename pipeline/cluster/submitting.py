@@ -21,11 +21,9 @@ from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError, OutputError, WorkError
 from pipeline.outputs.folder import default_folder
 from pipeline.outputs.folder_lock import folder_is_locked
-from pipeline.replacing import refuse_own_folders
+from pipeline.replacing import CONFIGURATION_FILE, refuse_own_folders
 from tiling.atomic import atomic_file
 from tiling.collection import find_map_files
-
-CONFIGURATION_FILE = "config.yaml"
 
 _PATIENCE = 60.0
 """Seconds that a cancelled run is given to leave in order, its workers cancelled by itself."""
@@ -181,12 +179,7 @@ def _of_the_run(configuration: Configuration) -> Configuration:
 
 
 def cancel_run(folder: Path) -> str:
-    """Cancel the job of a run and those of its workers; what is done is kept.
-
-    Returns
-    -------
-    str
-        What was cancelled.
+    """Cancel the job of a run and those of its workers, and say which; what is done is kept.
 
     Raises
     ------

@@ -36,15 +36,8 @@ _FAILED_STARTS = 3
 class Supervisor:
     """Watches over the jobs of a cluster's workers, in a thread of its own.
 
-    Parameters
-    ----------
-    cluster : dask_jobqueue.JobQueueCluster
-        Without workers yet.
-    client : distributed.Client
-    system : BatchSystem
-    parameters : ClusterParameters
-    output : Path
-        Output folder, where the numbers of the jobs are kept.
+    The cluster, of dask_jobqueue, has no workers yet. The numbers of the jobs are kept in the
+    output folder.
     """
 
     def __init__(

@@ -12,12 +12,7 @@ from typing import Any
 import dask
 from distributed import Client, Security
 
-from pipeline.cluster.batch_systems import (
-    BatchSystem,
-    JobDescription,
-    batch_system,
-    cluster_class,
-)
+from pipeline.cluster.batch_systems import BatchSystem, JobDescription, batch_system, cluster_class
 from pipeline.cluster.record import check_folder, cluster_folder, logs_folder, record_workers
 from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
 from pipeline.cluster.supervisor import Supervisor
@@ -47,15 +42,7 @@ JOB_ENVIRONMENT = {
 
 
 class OnCluster(OnDask):
-    """Runs tasks on workers that come and go, of which a fixed number is kept.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    supervisor : Supervisor
-    workers : int
-        The number that is kept.
-    """
+    """Runs tasks on workers that come and go, of which a fixed number is kept."""
 
     def __init__(self, client: Any, supervisor: Supervisor, workers: int) -> None:
         super().__init__(client)
@@ -79,14 +66,7 @@ def cluster_workers(
 ) -> Iterator[Executor]:
     """Start workers as jobs of a batch system, and keep their number until the end.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        Its `execution.cluster` names the batch system.
-    work : Path
-        Work folder of the run, in its output folder.
-    maps : sequence of Path
-        The map's files, which workers read.
+    They work in the run's work folder, and read the files of the map.
 
     Raises
     ------
@@ -200,11 +180,7 @@ def _cluster(system: BatchSystem, parameters: ClusterParameters, output: Path) -
 def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security | None:
     """Return the keys of a cluster that this run starts, None without TLS.
 
-    Parameters
-    ----------
-    tls : TLSParameters
-    keys : mapping of str to Path
-        Where they are to lie, for jobs to find them, if none are given.
+    If none are given they are made, where `keys` says, for jobs to find them.
 
     Raises
     ------

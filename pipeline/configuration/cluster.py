@@ -2,7 +2,7 @@
 
 from typing import Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from pipeline.configuration.quantities import Bytes, Seconds
 
@@ -10,10 +10,8 @@ BatchSystemName = Literal["slurm", "pbs", "lsf", "sge", "htcondor"]
 BATCH_SYSTEMS: tuple[str, ...] = get_args(BatchSystemName)
 
 
-class TLSParameters(BaseModel):
+class TLSParameters(BaseModel, extra="forbid", frozen=True):
     """Encryption between scheduler, workers and the run."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     enabled: bool = Field(
         False,
@@ -34,15 +32,12 @@ class TLSParameters(BaseModel):
         return self
 
 
-class RunJobParameters(BaseModel):
+class RunJobParameters(BaseModel, extra="forbid", frozen=True):
     """The job that `submit` hands over: the run itself, without its workers."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     cores: int = Field(1, ge=1, description="Cores of the job.")
     memory: Bytes = Field(
-        4 << 30,
-        description="Memory of the job; a map of one tile is cleaned in it.",
+        4 << 30, description="Memory of the job; a map of one tile is cleaned in it."
     )
     walltime: Seconds = Field(
         24 * 3600,
@@ -52,10 +47,8 @@ class RunJobParameters(BaseModel):
     resource_spec: str | None = Field(None, description="As `cluster.resource_spec`, of this job.")
 
 
-class ClusterParameters(BaseModel):
+class ClusterParameters(BaseModel, extra="forbid", frozen=True):
     """Jobs of a batch system; the result does not depend on them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     workers: int = Field(
         4,

@@ -53,7 +53,6 @@ def _tables(model: type[BaseModel], place: str) -> str:
 
 
 def _written(value: object) -> str:
-    """Return a value as YAML writes it."""
     return str(yaml.safe_dump(value, default_flow_style=None)).split("\n", maxsplit=1)[0]
 
 

@@ -12,7 +12,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     ValidationError,
     model_validator,
@@ -37,10 +36,8 @@ _FEW_POINTS = 20_000_000
 Model = TypeVar("Model", bound=BaseModel)
 
 
-class ExecutionParameters(BaseModel):
+class ExecutionParameters(BaseModel, extra="forbid", frozen=True):
     """How the work is spread over the machine; the result does not depend on it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     cluster: Literal["local", "none"] | BatchSystemName = Field(
         "local",
@@ -65,10 +62,8 @@ class ExecutionParameters(BaseModel):
     )
 
 
-class TilingParameters(BaseModel):
+class TilingParameters(BaseModel, extra="forbid", frozen=True):
     """How a map is cut; the result does not depend on it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     max_points: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         "auto",
@@ -90,10 +85,8 @@ class TilingParameters(BaseModel):
 Class = Annotated[int, Field(ge=0, le=255, strict=True)] | Literal["keep"]
 
 
-class ClassParameters(BaseModel):
+class ClassParameters(BaseModel, extra="forbid", frozen=True):
     """Classes that points of each label get in a labelled LAS or LAZ map; `keep`: their own."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     static: Class = Field("keep", description="Of what was scored and stays.")
     dynamic: Class = Field(
@@ -114,10 +107,8 @@ class ClassParameters(BaseModel):
         return {label: None if value == "keep" else value for label, value in given.items()}
 
 
-class OutputParameters(BaseModel):
+class OutputParameters(BaseModel, extra="forbid", frozen=True):
     """What is written beside the cleaned map."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     mode: Literal["split", "label"] = Field(
         "split",
@@ -126,8 +117,7 @@ class OutputParameters(BaseModel):
         "classes by `output.classes`.",
     )
     merge: bool = Field(
-        False,
-        description="Several files become one, in the map's frame; binary PCD, npy, KITTI's.",
+        False, description="Several files become one, in the map's frame; binary PCD, npy, KITTI's."
     )
     keep_work: bool = Field(
         False, description="Keep the work folder of a map of several tiles, chunks and all."
@@ -172,10 +162,8 @@ def _absolute(path: str) -> str:
     return str(Path(path).absolute())
 
 
-class InputParameters(BaseModel):
+class InputParameters(BaseModel, extra="forbid", frozen=True):
     """How the map is understood."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     unit: Literal["auto", "metre", "foot", "us_survey_foot"] = Field(
         "auto",
@@ -238,10 +226,8 @@ def _switch(value: Any) -> Any:
     return "off" if value is False else value
 
 
-class EvidenceParameters(BaseModel):
+class EvidenceParameters(BaseModel, extra="forbid", frozen=True):
     """What `removal.decision: auto` knows beside the points."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     time: Annotated[str, Field(min_length=1), BeforeValidator(_switch)] = Field(
         "auto",

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from pipeline.evaluation.labels import Labels, Truth
 
@@ -43,42 +43,30 @@ class Tally:
         return int(self._counts[2 * truth]), int(self._counts[2 * truth + 1])
 
 
-class Confusion(BaseModel):
+class Confusion(BaseModel, frozen=True):
     """The four counts over the labelled points of the original map, and their shares in percent.
 
     A share with nothing to be a share of is None.
-
-    Attributes
-    ----------
-    true_positives, false_positives, false_negatives, true_negatives : int
-        TP: moved, removed. FP: static, removed. FN: moved, kept. TN: static, kept.
-    false_positive_percent : float or None
-        100 FP / (FP + TN), of the static points.
-    false_negative_percent : float or None
-        100 FN / (FN + TP), of the points that moved.
-    false_positive_percent_of_all, false_negative_percent_of_all : float or None
-        The same counts as shares of all labelled points.
-    precision : float or None
-        100 TP / (TP + FP), of what was removed.
-    recall : float or None
-        100 TP / (TP + FN), of what moved.
-    f1 : float or None
-        Harmonic mean of precision and recall.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     true_positives: int
     false_positives: int
     false_negatives: int
     true_negatives: int
+    """TP: moved, removed. FP: static, removed. FN: moved, kept. TN: static, kept."""
     false_positive_percent: float | None
+    """100 FP / (FP + TN), of the static points."""
     false_negative_percent: float | None
+    """100 FN / (FN + TP), of the points that moved."""
     false_positive_percent_of_all: float | None
     false_negative_percent_of_all: float | None
+    """The same counts as shares of all labelled points."""
     precision: float | None
+    """100 TP / (TP + FP), of what was removed."""
     recall: float | None
+    """100 TP / (TP + FN), of what moved."""
     f1: float | None
+    """Harmonic mean of precision and recall."""
 
     def summary(self) -> str:
         """Return the two shares that say most, in words."""
@@ -111,7 +99,7 @@ class Confusion(BaseModel):
         )
 
 
-class DynamicMapAccuracy(BaseModel):
+class DynamicMapAccuracy(BaseModel, frozen=True):
     """The figures of the DynamicMap benchmark, in percent.
 
     Zhang, Duberg, Geng, Jia, Wang, Jensfelt: A Dynamic Points Removal Benchmark in Point Cloud Maps
@@ -119,28 +107,18 @@ class DynamicMapAccuracy(BaseModel):
     `export_eval_pcd.cpp` and `evaluate_all.py`): a labelled point counts as kept if the cleaned
     map has a point within `match_distance` of it, its own or another's. So a ghost that touches a
     wall is never removed, whatever a method does.
-
-    Attributes
-    ----------
-    static_accuracy : float or None
-        SA, static points kept / static points.
-    dynamic_accuracy : float or None
-        DA, points that moved and are not kept / points that moved.
-    associated_accuracy : float or None
-        AA, sqrt(SA DA).
-    harmonic_accuracy : float or None
-        HA, 2 SA DA / (SA + DA).
-    match_distance : float
-        Metres.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     static_accuracy: float | None
+    """SA, static points kept / static points."""
     dynamic_accuracy: float | None
+    """DA, points that moved and are not kept / points that moved."""
     associated_accuracy: float | None
+    """AA, sqrt(SA DA)."""
     harmonic_accuracy: float | None
+    """HA, 2 SA DA / (SA + DA)."""
     match_distance: float
+    """Metres."""
 
     @classmethod
     def of(cls, matches: "Tally", match_distance: float) -> "DynamicMapAccuracy":

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from dynahull.progress import Observer
 from pipeline.evaluation.earth_mover import EarthMoversDistance, draw_sample, transport_cost
@@ -25,36 +25,25 @@ Distances = NDArray[np.float64]
 _AT_A_TIME = 100_000
 
 
-class DistanceStatistics(BaseModel):
+class DistanceStatistics(BaseModel, frozen=True):
     """Distances d of the cleaned map's points to their nearest points in the truth.
 
     The DynaHull paper (Habibiroudkenar, Ojala, Tammi 2024, arXiv 2401.07541) reports them; in
     metres, the variance in square metres.
-
-    Attributes
-    ----------
-    count : int
-        n, points of the cleaned map that are compared.
-    mean_absolute_error : float
-        MAE, sum(d) / n.
-    variance : float
-        sum((d - MAE)^2) / n: of the points at hand, not an estimate for others (no n - 1).
-    root_mean_square_error : float
-        RMSE, sqrt(sum(d^2) / n); its square is variance + MAE^2.
-    percentile_90 : float
-        A tenth of the points is farther away; linear between the two nearest in rank.
-    largest : float
-        The one-sided Hausdorff distance.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     count: int
+    """n, points of the cleaned map that are compared."""
     mean_absolute_error: float
+    """MAE, sum(d) / n."""
     variance: float
+    """sum((d - MAE)^2) / n: of the points at hand, not an estimate for others (no n - 1)."""
     root_mean_square_error: float
+    """RMSE, sqrt(sum(d^2) / n); its square is variance + MAE^2."""
     percentile_90: float
+    """A tenth of the points is farther away; linear between the two nearest in rank."""
     largest: float
+    """The one-sided Hausdorff distance."""
 
     @classmethod
     def of(cls, distances: Distances) -> "DistanceStatistics":
@@ -75,21 +64,13 @@ class DistanceStatistics(BaseModel):
         )
 
 
-class DirectedChamfer(BaseModel):
-    """One direction of the Chamfer distance: from each point to its nearest in the other map.
-
-    Attributes
-    ----------
-    squared : float
-        Mean of the squared distances, square metres.
-    unsquared : float
-        Mean of the distances, metres.
-    """
-
-    model_config = ConfigDict(frozen=True)
+class DirectedChamfer(BaseModel, frozen=True):
+    """One direction of the Chamfer distance: from each point to its nearest in the other map."""
 
     squared: float
+    """Mean of the squared distances, square metres."""
     unsquared: float
+    """Mean of the distances, metres."""
 
     @classmethod
     def of(cls, distances: Distances) -> "DirectedChamfer":
@@ -99,32 +80,23 @@ class DirectedChamfer(BaseModel):
         return cls(squared=squared, unsquared=_exact_sum(distances) / count)
 
 
-class ChamferDistance(BaseModel):
+class ChamferDistance(BaseModel, frozen=True):
     """The Chamfer distance between the cleaned map C and the truth T.
 
     mean over c of min over t of |c - t|^2, plus mean over t of min over c of |t - c|^2: the form
     of Fan, Su, Guibas (CVPR 2017), by means in place of their sums, so that it does
     not grow with the number of points. Published code and text differ in the square, in adding or
     averaging the directions, and in taking one direction only, so all parts are here.
-
-    Attributes
-    ----------
-    squared : float
-        Both directions added, square metres.
-    unsquared : float
-        The same of plain distances, metres.
-    cleaned_to_truth : DirectedChamfer
-        What the cleaned map has too much.
-    truth_to_cleaned : DirectedChamfer
-        What it lacks.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     squared: float
+    """Both directions added, square metres."""
     unsquared: float
+    """The same of plain distances, metres."""
     cleaned_to_truth: DirectedChamfer
+    """What the cleaned map has too much."""
     truth_to_cleaned: DirectedChamfer
+    """What it lacks."""
 
     @classmethod
     def of(
@@ -163,21 +135,9 @@ def compare_geometry(
     folder: Path,
     observer: Observer,
 ) -> Geometry:
-    """Measure the distances between the cleaned map and the truth.
+    """Measure the distances between the cleaned map and the truth, which have a point at least.
 
-    Parameters
-    ----------
-    cleaned, truth : TiledCloud
-        Each with at least one point.
-    options : EvaluationOptions
-        Of the Earth Mover's Distance.
-    folder : Path
-        For the distances, in one direction at a time.
-    observer : Observer
-
-    Returns
-    -------
-    Geometry
+    The distances lie in the folder, those of one direction at a time.
     """
     distances = _all_distances(cleaned, truth, folder, observer, "to the truth")
     statistics, too_much = DistanceStatistics.of(distances), DirectedChamfer.of(distances)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from dynahull.extras import install_command
 from pipeline.configuration.quantities import in_units
@@ -28,33 +28,23 @@ _MOST_STEPS = 10_000_000
 """Steps of the network simplex: POT's own limit, 100,000, is reached by some thousand points."""
 
 
-class EarthMoversDistance(BaseModel):
+class EarthMoversDistance(BaseModel, frozen=True):
     """The least cost of moving one sample into the other, all points of a sample weighing alike.
 
     Rubner, Tomasi, Guibas (IJCV 2000) with equal total weights, which is the Wasserstein distance;
     `ot.emd2` of POT (Flamary et al., JMLR 2021). The DynaHull paper reports it.
-
-    Attributes
-    ----------
-    distance : float
-        Mean cost of a unit of weight: metres, or square metres with the squared ground cost.
-    sampling_floor : float
-        The same between two samples of the truth alone.
-    cleaned_points, truth_points : int
-        Sizes of the samples, drawn at random, uniformly, without replacement; a map that has fewer
-        points than were asked for is its own sample.
-    ground_cost : str
-        Of moving a unit from x to y: `euclidean` |x - y|, `sqeuclidean` |x - y|^2.
-    seed : int
     """
 
-    model_config = ConfigDict(frozen=True)
-
     distance: float
+    """Mean cost of a unit of weight: metres, or square metres with the squared ground cost."""
     sampling_floor: float
+    """The same between two samples of the truth alone."""
     cleaned_points: int
     truth_points: int
+    """Sizes of the samples, drawn at random, uniformly, without replacement; a map that has fewer
+    points than were asked for is its own sample."""
     ground_cost: GroundCost
+    """Of moving a unit from x to y: `euclidean` |x - y|, `sqeuclidean` |x - y|^2."""
     seed: int
 
 
@@ -132,15 +122,9 @@ def transport_cost(
 
 
 def draw_sample(cloud: TiledCloud, size: int, seed: int, stream: int) -> NDArray[np.float64]:
-    """Draw points at random, uniformly, without replacement.
+    """Draw points at random, uniformly, without replacement; all where there are not more.
 
-    Parameters
-    ----------
-    cloud : TiledCloud
-    size : int
-        Points wanted; all are returned where there are not more.
-    seed, stream : int
-        Samples of one seed and several streams are independent of each other.
+    Samples of one seed and several streams are independent of each other.
 
     Returns
     -------

@@ -53,16 +53,10 @@ def evaluate(
 
     Parameters
     ----------
-    inputs : EvaluationInputs
-    options : EvaluationOptions
     observer : Observer
         Told of stages, progress and warnings.
     picture : Path, optional
         Where to draw the decisions, if there is an original map.
-
-    Returns
-    -------
-    Figures
 
     Raises
     ------
@@ -102,7 +96,6 @@ def _compare(
     observer: Observer,
     picture: Path | None,
 ) -> Figures:
-    """Compare maps that are cut."""
     cleaned, truth, original = clouds["cleaned"], clouds.get("truth"), clouds.get("original")
     if original is None:
         assert truth is not None

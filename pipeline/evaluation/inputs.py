@@ -16,39 +16,29 @@ from pipeline.evaluation.labels import (
     read_labels_of_map,
 )
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.outputs.reading import label_batches, table_batches
+from pipeline.outputs.reading import label_batches, row_columns
 from pipeline.replacing import LABELS_FILE, RUN_FILE
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
-from tiling.formats.parquet_file import row_count
+from tiling.formats.parquet_tables import row_count
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluationInputs:
-    """What is to be compared.
-
-    Attributes
-    ----------
-    cleaned : MapCollection
-    truth : MapCollection or None
-        A map of what is static; None where `labels` say it.
-    original : MapCollection or None
-        The map before it was cleaned.
-    labels : RowValues or None
-        `Truth` of each row of the original, where the user has it.
-    removed : RowValues or None
-        Which rows of the original the run removed, bool, where its folder says so.
-    kept : RowValues or None
-        Which points of `cleaned` are left, bool, where the run labelled them all (output.mode
-        label).
-    """
+    """What is to be compared."""
 
     cleaned: MapCollection
     truth: MapCollection | None
+    """A map of what is static; None where `labels` say it."""
     original: MapCollection | None
+    """The map before it was cleaned."""
     labels: RowValues | None
+    """`Truth` of each row of the original, where the user has it."""
     removed: RowValues | None
+    """Which rows of the original the run removed, bool, where its folder says so."""
     kept: RowValues | None = None
+    """Which points of `cleaned` are left, bool, where the run labelled them all (output.mode
+    label)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +68,6 @@ def find_inputs(
         original; or a Parquet table of labels, one row for each of the original.
     original : str or None
         By default the one that the run was given, or the labelled map.
-    options : EvaluationOptions
-
-    Returns
-    -------
-    EvaluationInputs
 
     Raises
     ------
@@ -179,7 +164,9 @@ def _removed_rows(
             f"{run.labels}: expected a label of the {original.point_count:,} points of "
             f"{original.name}, found {rows:,}: the map was changed since it was cleaned"
         )
-    return RowValues(lambda: (labels == Label.DYNAMIC for labels, _ in table_batches(run.labels)))
+    return RowValues(
+        lambda: (each["label"] == Label.DYNAMIC for each in row_columns(run.labels, ["label"]))
+    )
 
 
 def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:
@@ -187,5 +174,4 @@ def _same_files(first: tuple[Path, ...], second: tuple[Path, ...]) -> bool:
 
 
 def _opened(paths: Sequence[Path]) -> MapCollection:
-    """Open a map, whose points come in metres."""
     return open_collection(paths, InputParameters())

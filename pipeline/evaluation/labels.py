@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, EvaluationError
 from tiling.collection import MapCollection
-from tiling.formats.field_values import field_values
-from tiling.formats.parquet_file import open_parquet
+from tiling.formats import field_values
+from tiling.formats.parquet_tables import open_parquet
 from tiling.formats.points import DEFAULT_BATCH, coordinate_names
 
 MOVING_COLUMN = "moving"
@@ -41,15 +41,10 @@ Labels = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True)
 class RowValues:
-    """Values of all rows of a map, which can be gone through several times.
-
-    Attributes
-    ----------
-    read : callable
-        Begins a pass: returns arrays that together are the values of all rows, in order.
-    """
+    """Values of all rows of a map, which can be gone through several times."""
 
     read: Callable[[], Iterable[NDArray[Any]]]
+    """Begins a pass: returns arrays that together are the values of all rows, in order."""
 
     @classmethod
     def of(cls, values: NDArray[Any]) -> "RowValues":
@@ -63,11 +58,7 @@ class RowValues:
 class RowReader:
     """One pass through the values of a map, as many rows at a time as are asked for.
 
-    Parameters
-    ----------
-    values : RowValues
-    name : str
-        What they are of, for the message where there are too few.
+    Where there are too few, `name` says of what.
     """
 
     def __init__(self, values: RowValues, name: str) -> None:
@@ -162,13 +153,7 @@ def read_label_table(
 ) -> RowValues:
     """Return the labels of a table of one row a point, such as the `truth.parquet` of `simulate`.
 
-    Parameters
-    ----------
-    path : Path
-    column : str or None
-        Its column of labels; `moving` by default.
-    dynamic, unlabelled : sequence of range
-        See `to_truth`.
+    The column is `moving` by default; its values mean what they mean to `to_truth`.
 
     Raises
     ------

@@ -21,31 +21,19 @@ _Floats = NDArray[np.float64]
 
 
 class Nearest(NamedTuple):
-    """What is nearest to some places.
-
-    Attributes
-    ----------
-    distances : (m,) float64 array
-        Infinite where nothing is near enough.
-    labels : (m,) int8 array
-        `Truth` of the nearest point: of equally near ones the first in the order of `Truth`, so
-        that no order of rows matters; unknown where nothing is near enough.
-    """
+    """What is nearest to some places."""
 
     distances: _Floats
+    """(m,): infinite where nothing is near enough."""
     labels: Labels
+    """(m,): `Truth` of the nearest point: of equally near ones the first in the order of `Truth`,
+    so that no order of rows matters; unknown where nothing is near enough."""
 
 
 def find_nearest(places: _Floats, cloud: TiledCloud, at_most: float = np.inf) -> Nearest:
-    """Find the nearest point of a cloud to each of some places, which should lie close together.
+    """Find the nearest point of a cloud to each of some places, (m, 3), which lie close together.
 
-    Parameters
-    ----------
-    places : (m, 3) float64 array
-        At least one.
-    cloud : TiledCloud
-    at_most : float
-        Where nothing is as near as this, nothing is found.
+    Where nothing is as near as `at_most`, nothing is found.
     """
     # A hair more: squares are rounded, and what is found is compared with the bound itself.
     bound = (at_most * (1 + 1e-12)) ** 2
@@ -84,20 +72,9 @@ def _squared_gaps(low: _Floats, high: _Floats, box_low: _Floats, box_high: _Floa
 
 
 def look_up(
-    cloud: TiledCloud,
-    other: TiledCloud,
-    observer: Observer,
-    stage: str,
-    at_most: float = np.inf,
+    cloud: TiledCloud, other: TiledCloud, observer: Observer, stage: str, at_most: float = np.inf
 ) -> Iterator[tuple[int, Nearest]]:
-    """Look up every point of a cloud in another, tile by tile.
-
-    Yields
-    ------
-    tile : int
-    nearest : Nearest
-        Of its points, in their order.
-    """
+    """Look up every point of a cloud in another; yield what is nearest to each tile's points."""
     observer.stage(stage, len(cloud))
     for tile, count in enumerate(cloud.counts.tolist()):
         if count:

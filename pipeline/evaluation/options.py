@@ -2,49 +2,35 @@
 
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from dynahull.parameters import validation_message
 from pipeline.errors import ConfigurationError
 from pipeline.evaluation.earth_mover import GroundCost
 
 
-class EvaluationOptions(BaseModel):
-    """The options of `evaluate`; all of them are in its report.
-
-    Attributes
-    ----------
-    labels : str or None
-        Field of the truth that holds a label of every point; None: the truth is the static map.
-    dynamic, unlabelled : str
-        Label values, as `labels.parse_values` reads them.
-    truth_tolerance, cleaned_tolerance : float
-        Metres within which a point of the original is at a point of the truth, and of the cleaned
-        map. The default is finer than the millimetre grid of most LAS files, and coarser than the
-        rounding of float32 within a kilometre of the origin.
-    match_distance : float
-        Metres, of SA and DA.
-    voxel : float
-        Metres, of PR and RR; at least a micrometre.
-    emd_points : int
-        Size of the samples for the Earth Mover's Distance; 0: none is computed.
-    ground_cost : str
-    seed : int
-        Of the samples.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class EvaluationOptions(BaseModel, extra="forbid", frozen=True):
+    """The options of `evaluate`; all of them are in its report."""
 
     labels: str | None = None
+    """Field of the truth that holds a label of every point; None: the truth is the static map."""
     dynamic: str = "1"
     unlabelled: str = ""
+    """Label values, as `labels.parse_values` reads them."""
     truth_tolerance: float = Field(1e-4, ge=0, allow_inf_nan=False)
     cleaned_tolerance: float = Field(1e-4, ge=0, allow_inf_nan=False)
+    """Metres within which a point of the original is at a point of the truth, and of the cleaned
+    map. The default is finer than the millimetre grid of most LAS files, and coarser than the
+    rounding of float32 within a kilometre of the origin."""
     match_distance: float = Field(0.05, gt=0, allow_inf_nan=False)
+    """Metres, of SA and DA."""
     voxel: float = Field(0.2, ge=1e-6, allow_inf_nan=False)
+    """Metres, of PR and RR; at least a micrometre."""
     emd_points: int = Field(2000, ge=0)
+    """Size of the samples for the Earth Mover's Distance; 0: none is computed."""
     ground_cost: GroundCost = "euclidean"
     seed: int = Field(0, ge=0)
+    """Of the samples."""
 
     @classmethod
     def checked(cls, **values: Any) -> Self:

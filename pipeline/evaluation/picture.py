@@ -33,14 +33,9 @@ _BACKGROUND = (1.0, 1.0, 1.0)
 def decision_counts(
     scored: TiledCloud, pixels: int
 ) -> tuple[NDArray[np.int64], tuple[float, float, float, float]]:
-    """Count the points of each decision in each pixel, seen from above.
+    """Count the points of each decision in each pixel of the original map, seen from above.
 
-    Parameters
-    ----------
-    scored : TiledCloud
-        The original map, with labels and what was removed.
-    pixels : int
-        On the longer side.
+    It has labels, and knows what was removed. Its longer side is so many pixels long.
 
     Returns
     -------
@@ -76,21 +71,11 @@ def decision_counts(
 
 
 def colour_pixels(counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Choose each pixel's colour.
+    """Choose each pixel's red, green and blue, (height, width, 3), by what `decision_counts` gives.
 
     A pixel of static points shows whether more of them were kept or removed, so that a wall is
     blue where it is lost and not where a point of it is. Points that moved are drawn over them,
     again as most of them were decided. Of two equally common, the wrong decision shows.
-
-    Parameters
-    ----------
-    counts : (4, height, width) int array
-        As `decision_counts` gives them.
-
-    Returns
-    -------
-    (height, width, 3) float64 array
-        Red, green, blue, from 0 to 1.
     """
     kept, right, wrong, missed = counts
     image = np.full((*kept.shape, 3), _BACKGROUND)
@@ -103,15 +88,7 @@ def colour_pixels(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def draw_picture(scored: TiledCloud, path: Path, observer: Observer) -> None:
-    """Draw the map from above into a PNG file.
-
-    Parameters
-    ----------
-    scored : TiledCloud
-        As `decision_counts` takes it.
-    path : Path
-        Replaced when the picture is complete.
-    observer : Observer
+    """Draw the map of `decision_counts` from above into a PNG file, replaced when it is complete.
 
     Raises
     ------

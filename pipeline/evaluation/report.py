@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, SkipValidation
+from pydantic import BaseModel, SkipValidation
 from rich.table import Table
 
 from pipeline.errors import ConfigurationError, OutputError
@@ -17,7 +17,7 @@ from pipeline.evaluation.earth_mover import EarthMoversDistance
 from pipeline.evaluation.evaluate import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs, find_inputs
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.preservation import Preservation
+from pipeline.evaluation.scoring import Preservation
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching
 from pipeline.replacing import RUN_FILE
@@ -42,33 +42,15 @@ class MapFiles(BaseModel):
         return cls(files=files, points=collection.point_count)
 
 
-class EvaluationReport(BaseModel):
-    """Everything an evaluation has to say.
-
-    Attributes
-    ----------
-    version, finished : str
-        Of this product; date and time, UTC, ISO 8601.
-    cleaned : MapFiles
-    truth : str
-        As it was given.
-    original : MapFiles or None
-    options : EvaluationOptions
-    distances, chamfer, earth_mover, confusion, accuracy, preservation : models
-        The figures; None where they were not asked for, or need an original map.
-    seconds : dict of str to float
-        Wall time of each stage.
-    peak_memory_bytes : int
-        Of this process.
-    warnings : list of str
-    """
-
-    model_config = ConfigDict(frozen=True)
+class EvaluationReport(BaseModel, frozen=True):
+    """Everything an evaluation has to say."""
 
     version: str
     finished: str
+    """Of this product; date and time, UTC, ISO 8601."""
     cleaned: MapFiles
     truth: Annotated[str, SkipValidation]
+    """As it was given."""
     original: MapFiles | None
     options: EvaluationOptions
     distances: DistanceStatistics
@@ -77,8 +59,11 @@ class EvaluationReport(BaseModel):
     confusion: Confusion | None
     accuracy: DynamicMapAccuracy | None
     preservation: Preservation | None
+    """The figures; None where they were not asked for, or need an original map."""
     seconds: dict[str, float]
+    """Wall time of each stage."""
     peak_memory_bytes: int
+    """Of this process."""
     warnings: list[Annotated[str, SkipValidation]]
 
     @classmethod
@@ -203,19 +188,9 @@ def evaluate_files(
     json_file: Path | None = None,
     picture: Path | None = None,
 ) -> EvaluationReport:
-    """Evaluate a cleaned map, and write what was asked for.
+    """Evaluate a cleaned map, and write what was asked for: all figures, and a map from above.
 
-    Parameters
-    ----------
-    cleaned, truth, original : str
-        As `inputs.find_inputs` takes them.
-    options : EvaluationOptions
-    json_file, picture : Path, optional
-        Where to write all figures, and the map from above.
-
-    Returns
-    -------
-    EvaluationReport
+    The maps are named as for `inputs.find_inputs`.
 
     Raises
     ------

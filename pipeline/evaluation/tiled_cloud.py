@@ -43,15 +43,12 @@ _COLUMNS: dict[str, Any] = {
 
 
 class TiledCloud:
-    """The finite points of a map, or those of some labels, by tile.
+    """The finite points of a map, or those of some labels: a file for each column of a tile.
 
     Parameters
     ----------
     name : str
         What to call it in messages.
-    folder : Path
-        Where its files lie, a column of a tile in each; made if it is not there.
-    tile_count : int
 
     Attributes
     ----------
@@ -96,16 +93,9 @@ class TiledCloud:
         )
 
     def append(self, tile: int, xyz: NDArray[np.float64], labels: Labels, **more: Any) -> None:
-        """Put points into a tile, after those that are there.
+        """Put one or more points into a tile, after those that are there; (n, 3), and their labels.
 
-        Parameters
-        ----------
-        tile : int
-        xyz : (n, 3) float64 array
-            At least one point.
-        labels : (n,) int8 array
-        **more
-            `rows`, (n,) int64, and `removed`, (n,) bool, where they are needed.
+        More columns are `rows`, (n,) int64, and `removed`, (n,) bool, where they are needed.
         """
         for name, values in {"xyz": xyz, "labels": labels, **more}.items():
             with self._path(tile, name).open("ab") as stream:
@@ -154,23 +144,15 @@ class TiledCloud:
 
 @dataclass(frozen=True, slots=True)
 class CloudSource:
-    """A map that is to be cut, and what is known of its rows.
-
-    Attributes
-    ----------
-    collection : MapCollection
-    chosen : RowValues or None
-        Which rows belong to the cloud; otherwise all.
-    labels : RowValues or None
-        `Truth` of each row; otherwise all points are called static.
-    removed : RowValues or None
-        Which rows were removed; otherwise the cloud does not know.
-    """
+    """A map that is to be cut, and what is known of its rows."""
 
     collection: MapCollection
     chosen: RowValues | None = None
+    """Which rows belong to the cloud; otherwise all."""
     labels: RowValues | None = None
+    """`Truth` of each row; otherwise all points are called static."""
     removed: RowValues | None = None
+    """Which rows were removed; otherwise the cloud does not know."""
 
     def batches(self) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         """Yield rows read, and `xyz`, `rows`, `labels` and perhaps `removed` of the points."""
@@ -196,20 +178,7 @@ class CloudSource:
 def cut_clouds(
     sources: dict[str, CloudSource], voxel: float, folder: Path, observer: Observer
 ) -> dict[str, TiledCloud]:
-    """Cut maps into the same tiles.
-
-    Parameters
-    ----------
-    sources : dict of str to CloudSource
-    voxel : float
-        Edge, metres.
-    folder : Path
-        For their files.
-    observer : Observer
-
-    Returns
-    -------
-    dict of str to TiledCloud
+    """Cut maps into the same tiles, of whole voxels, into files in a folder.
 
     Raises
     ------

@@ -31,14 +31,7 @@ class Clock:
 
 
 class NightEnd:
-    """Knows whether the night is over.
-
-    Parameters
-    ----------
-    clock : Clock
-    stop_after : float or None
-        Seconds from now; None for a night without end.
-    """
+    """Knows whether the night is over: so many seconds from now, or never."""
 
     def __init__(self, clock: Clock, stop_after: float | None) -> None:
         self._clock = clock

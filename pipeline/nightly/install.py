@@ -54,14 +54,9 @@ def user_name() -> str:
 
 
 def nightly_call(source: Path, given: Sequence[str] = ()) -> list[str]:
-    """Return the words that start the night, wherever they are called from.
+    """Return the words that start the night of a YAML file, wherever they are called from.
 
-    Parameters
-    ----------
-    source : Path
-        The YAML file.
-    given : sequence of str
-        `key=value`, as given to `--set`.
+    Settings are `key=value`, as given to `--set`.
     """
     # The name a virtual environment gives it, not what that is a link to.
     script = Path(sys.executable).with_name("dynahull-pipeline")
@@ -105,15 +100,7 @@ def systemd_timer(settings: NightlySettings) -> str:
 
 
 def install_text(settings: NightlySettings, source: Path, given: Sequence[str] = ()) -> str:
-    """Return all that `--schedule` prints; nothing is installed by it.
-
-    Parameters
-    ----------
-    settings : NightlySettings
-    source : Path
-        The YAML file.
-    given : sequence of str
-        What `--set` changed of it, which the nights are given as well.
+    """Return all that `--schedule` prints of a YAML file and settings; nothing is installed by it.
 
     Raises
     ------

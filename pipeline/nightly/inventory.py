@@ -25,27 +25,18 @@ _COARSEST_TIME = 2.0
 
 @dataclass(frozen=True, slots=True)
 class FoundMap:
-    """A map that is there.
-
-    Attributes
-    ----------
-    path : Path
-        The file, or the folder; absolute.
-    files : tuple of Path
-        What the map consists of, in the order in which a run reads them.
-    configuration : Configuration
-        How it is cleaned.
-    root : Path
-        The folder of the input, out of which no link is followed.
-    poses : tuple of Path
-        What the poses of its files are read from, where they are scans.
-    """
+    """A map that is there."""
 
     path: Path
+    """The file, or the folder; absolute."""
     files: tuple[Path, ...]
+    """What the map consists of, in the order in which a run reads them."""
     configuration: Configuration
+    """How it is cleaned."""
     root: Path
+    """The folder of the input, out of which no link is followed."""
     poses: tuple[Path, ...] = ()
+    """What the poses of its files are read from, where they are scans."""
 
     def states(self) -> Fingerprint:
         """Return the states of all files that it is read from.
@@ -64,18 +55,12 @@ class FoundMap:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """An input that could not be looked at.
-
-    Attributes
-    ----------
-    root : Path
-        What should be there.
-    message : str
-        In one line.
-    """
+    """An input that could not be looked at."""
 
     root: Path
+    """What should be there."""
     message: str
+    """In one line."""
 
 
 def find_maps(
@@ -83,13 +68,8 @@ def find_maps(
 ) -> tuple[list[FoundMap], list[Problem]]:
     """Find all maps of all inputs; what lies in the output folder is none.
 
-    A map whose files all belong to maps found before is none either.
-
-    Parameters
-    ----------
-    settings : NightlySettings
-    configurations : sequence of Configuration
-        One for each input.
+    A map whose files all belong to maps found before is none either. Each input has one
+    configuration.
 
     Returns
     -------
@@ -210,15 +190,8 @@ def last_change(states: Fingerprint, now: float, seen_since: float | None = None
     """Return when a map was last written to, seconds since 1970.
 
     Of its files the last one; of a file the later of its two dates, since a copy that keeps dates
-    sets the first one back. Dates in the future, by a clock that is or was wrong, are none.
-
-    Parameters
-    ----------
-    states : Fingerprint
-    now : float
-        Seconds since 1970.
-    seen_since : float, optional
-        Since when the map is known to be as it is: for files that have no other date.
+    sets the first one back. Dates in the future, by a clock that is or was wrong, are none; of a
+    file without any other, it is since when the map is known to be as it is.
     """
     otherwise = now if seen_since is None else min(seen_since, now)
     return max(max(dates, default=otherwise) for dates in _past_dates(states, now))
@@ -242,22 +215,12 @@ def trusted_content(record: MapRecord, states: Fingerprint) -> str | None:
 def learn_content(
     found: FoundMap, record: MapRecord, now: Callable[[], float], advance: Callable[[int], None]
 ) -> bool:
-    """Hash a map and remember its content.
+    """Hash a map and remember its content; return whether it did not change meanwhile.
 
     Parameters
     ----------
-    found : FoundMap
-    record : MapRecord
-        Where content and fingerprint are put down.
-    now : callable
-        Tells the time.
     advance : callable
         Told of the bytes hashed; what it raises ends the hashing.
-
-    Returns
-    -------
-    bool
-        False when the map changed meanwhile, and nothing was put down.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from dynahull.parameters import validation_message
 from pipeline.errors import NightlyError
@@ -19,100 +19,59 @@ Fingerprint = tuple[FileState, ...]
 """States of a map's files, in their order: where it is the same, so is the content."""
 
 
-class Attempt(BaseModel):
-    """A run that was begun and of whose end the journal does not know.
-
-    Attributes
-    ----------
-    run : str
-        Name of its folder.
-    tasks : int
-        Tasks that earlier nights had done for it.
-    """
-
-    model_config = ConfigDict(extra="forbid")
+class Attempt(BaseModel, extra="forbid"):
+    """A run that was begun and of whose end the journal does not know."""
 
     run: str
+    """Name of its folder."""
     tasks: int
+    """Tasks that earlier nights had done for it."""
 
 
-class Failure(BaseModel):
-    """Why a map failed, and how often.
-
-    Attributes
-    ----------
-    key : str
-        What failed: hash of content and configuration, or of the states of files that cannot be
-        read.
-    version : str
-        Of the product.
-    attempts : int
-        Nights that it failed.
-    reason : str
-        The last one, in one line.
-    """
-
-    model_config = ConfigDict(extra="forbid")
+class Failure(BaseModel, extra="forbid"):
+    """Why a map failed, and how often."""
 
     key: str
+    """What failed: hash of content and configuration, or of the states of files that cannot be
+    read."""
     version: str
+    """Of the product."""
     attempts: int
+    """Nights that it failed."""
     reason: str
+    """The last one, in one line."""
 
 
-class MapRecord(BaseModel):
-    """What is known of one map; results are not recorded, since they are there to be seen.
-
-    Attributes
-    ----------
-    first_seen : float
-        Seconds since 1970.
-    fingerprint : Fingerprint
-        Of the files when their content was hashed.
-    content : str or None
-        SHA-256 of their bytes; None where no later look may rely on it.
-    poses : str
-        SHA-256 of the files of their poses; empty where there are none.
-    attempt : Attempt or None
-    failure : Failure or None
-    stalled : bool
-        Whether the last attempt was cut off without a step further: others go first then.
-    vanished : bool
-        Whether the files were gone when last looked for.
-    seen : Fingerprint
-        Of files whose dates are in the future: as they were when last looked at,
-    seen_since : float
-        and since when they have been so, seconds since 1970.
-    """
-
-    model_config = ConfigDict(extra="forbid")
+class MapRecord(BaseModel, extra="forbid"):
+    """What is known of one map; results are not recorded, since they are there to be seen."""
 
     first_seen: float
+    """Seconds since 1970."""
     fingerprint: Fingerprint = ()
+    """Of the files when their content was hashed."""
     content: str | None = None
+    """SHA-256 of their bytes; None where no later look may rely on it."""
     poses: str = ""
+    """SHA-256 of the files of their poses; empty where there are none."""
     attempt: Attempt | None = None
     failure: Failure | None = None
     stalled: bool = False
+    """Whether the last attempt was cut off without a step further: others go first then."""
     vanished: bool = False
+    """Whether the files were gone when last looked for."""
     seen: Fingerprint = ()
+    """Of files whose dates are in the future: as they were when last looked at."""
     seen_since: float = 0.0
+    """Since when they have been so, seconds since 1970."""
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
+class _Stored(BaseModel, extra="forbid"):
     format: int = Field(_FORMAT, ge=_FORMAT, le=_FORMAT)
     maps: dict[str, MapRecord] = {}
 
 
 class Journal:
     """The records of all maps ever seen, by absolute path.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the journal lies.
 
     Raises
     ------

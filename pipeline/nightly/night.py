@@ -12,12 +12,7 @@ from pathlib import Path
 
 from pipeline.errors import DiskSpaceError, NightLockedError
 from pipeline.nightly.clock import Clock, NightEnd
-from pipeline.nightly.inventory import (
-    Problem,
-    find_maps,
-    lacks_dates,
-    learn_content,
-)
+from pipeline.nightly.inventory import Problem, find_maps, lacks_dates, learn_content
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
 from pipeline.nightly.one_map import Cleaner, Ended, Request
 from pipeline.nightly.results import (
@@ -57,30 +52,14 @@ logger = logging.getLogger("dynahull")
 
 
 def clean_nightly(
-    settings: NightlySettings,
-    cleaner: Cleaner,
-    clock: Clock,
-    end: NightEnd,
-    *,
-    retry: bool = False,
+    settings: NightlySettings, cleaner: Cleaner, clock: Clock, end: NightEnd, *, retry: bool = False
 ) -> NightSummary:
-    """Spend one night.
+    """Spend one night; return what `nightly.json` holds.
 
     Parameters
     ----------
-    settings : NightlySettings
-    cleaner : Cleaner
-        Cleans one map.
-    clock : Clock
-    end : NightEnd
-        Tells when to stop.
     retry : bool
         Forget all failures: what was set aside is tried again.
-
-    Returns
-    -------
-    NightSummary
-        What `nightly.json` holds.
 
     Raises
     ------
@@ -131,7 +110,6 @@ class _Night:
         self.waited = 0.0
 
     def forget_failures(self) -> None:
-        """Let everything that failed be tried again."""
         for record in self.journal.maps.values():
             record.failure = None
         self.journal.save()
@@ -190,7 +168,6 @@ class _Night:
                 self.minutes.say(Path(path), MapOutcome.VANISHED, self.folder_of(Path(path)))
 
     def ready(self, candidates: Iterable[Candidate]) -> list[Candidate]:
-        """Return what is to be cleaned now, in turn."""
         waiting = [
             each
             for each in candidates
@@ -251,7 +228,6 @@ class _Night:
         return self.run(candidate)
 
     def stop_hashing(self, _: int) -> None:
-        """End the hashing of a map with the night."""
         if self.end.is_over():
             raise _NightOverError
 
@@ -382,7 +358,6 @@ class _Night:
         return summary
 
     def folder_of(self, path: Path) -> MapFolder:
-        """Return where the results of a map lie."""
         return MapFolder(self.settings.output / map_name(path))
 
 

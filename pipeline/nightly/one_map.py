@@ -48,39 +48,25 @@ logger = logging.getLogger("dynahull")
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What to clean.
-
-    Attributes
-    ----------
-    map : Path
-        A file, or the folder of a map of several.
-    output : Path
-        Folder of the run.
-    configuration : Configuration
-    root : Path
-        The folder that the map lies in, and no link leads out of.
-    """
+    """What to clean."""
 
     map: Path
+    """A file, or the folder of a map of several."""
     output: Path
+    """Folder of the run."""
     configuration: Configuration
     root: Path
+    """The folder that the map lies in, and no link leads out of."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a run ended.
-
-    Attributes
-    ----------
-    how : str
-        `stopped`: as it was asked to. `died`: without a word.
-    reason : str
-        Of a failure, in one line.
-    """
+    """How a run ended."""
 
     how: Literal["cleaned", "failed", "no space", "stopped", "died"]
+    """`stopped`: as it was asked to. `died`: without a word."""
     reason: str = ""
+    """Of a failure, in one line."""
 
 
 _REQUEST = TypeAdapter(Request)
@@ -94,14 +80,7 @@ class Cleaner:
     """
 
     def clean(self, request: Request, is_over: Callable[[], bool]) -> Ended:
-        """Clean a map.
-
-        Parameters
-        ----------
-        request : Request
-        is_over : callable
-            Tells whether to stop; asked now and then.
-        """
+        """Clean a map, unless `is_over`, asked now and then, says to stop."""
         # -P: a folder `pipeline` in the present folder is not this package. A session of its own:
         # Ctrl-C goes to the night, which stops the child once.
         asked = json.dumps(_REQUEST.dump_python(request, mode="json"))

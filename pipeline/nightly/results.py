@@ -71,15 +71,10 @@ def result_key(
 
 @dataclass(frozen=True, slots=True)
 class MapFolder:
-    """The folder of one map's results.
-
-    Attributes
-    ----------
-    path : Path
-        It need not be there yet.
-    """
+    """The folder of one map's results."""
 
     path: Path
+    """It need not be there yet."""
 
     def runs(self) -> list[Path]:
         """Return the folders of all runs, the oldest first."""
@@ -201,21 +196,12 @@ def report_page(run: Path) -> Path:
 
 
 def remove_old_runs(
-    folder: MapFolder,
-    keep: Retention,
-    now: float,
-    wanted: str | None,
-    *,
-    work_may_go_on: bool,
+    folder: MapFolder, keep: Retention, now: float, wanted: str | None, *, work_may_go_on: bool
 ) -> list[Path]:
-    """Remove runs of a map that are neither among the last nor young.
+    """Remove runs of a map that are neither among the last nor young, the last good one never.
 
     Parameters
     ----------
-    folder : MapFolder
-    keep : Retention
-    now : float
-        Seconds since 1970.
     wanted : str or None
         Key of what the map is now, unless it was set aside; its run stays, finished or not.
     work_may_go_on : bool
@@ -225,7 +211,7 @@ def remove_old_runs(
     Returns
     -------
     list of Path
-        What is gone. The last good result never is.
+        What is gone.
     """
     latest = folder.latest()
     finished = folder.finished()

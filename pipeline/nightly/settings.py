@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
 from pipeline.configuration.quantities import Seconds, Size, in_home
 from pipeline.configuration.run import (
@@ -32,10 +32,8 @@ TimeOfDay = Annotated[
 """Hours and minutes, local time."""
 
 
-class NightlyInput(BaseModel):
+class NightlyInput(BaseModel, extra="forbid", frozen=True):
     """Where maps arrive, and how those are cleaned."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     maps: str = Field(
         min_length=1,
@@ -65,10 +63,8 @@ class NightlyInput(BaseModel):
         return fixed[0]
 
 
-class Retention(BaseModel):
+class Retention(BaseModel, extra="forbid", frozen=True):
     """Which results of earlier contents of a map are kept; the last good one always is."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     runs: int = Field(3, ge=1, strict=True, description="So many runs of each map, the last ones.")
     days: Annotated[int, Field(ge=0, strict=True)] | None = Field(
@@ -76,10 +72,8 @@ class Retention(BaseModel):
     )
 
 
-class NightlySettings(BaseModel):
+class NightlySettings(BaseModel, extra="forbid", frozen=True):
     """Everything that `dynahull-pipeline nightly` can be told. Paths are relative to its file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     inputs: tuple[NightlyInput, ...] = Field(
         min_length=1, description="Where maps arrive; a map that several name is the first one's."
@@ -118,18 +112,7 @@ class NightlySettings(BaseModel):
 
 
 def load_nightly_settings(source: Path, settings: Sequence[str] = ()) -> NightlySettings:
-    """Read what is cleaned every night, with every path made absolute.
-
-    Parameters
-    ----------
-    source : Path
-        The YAML file.
-    settings : sequence of str
-        `key=value`, as given to `--set`.
-
-    Returns
-    -------
-    NightlySettings
+    """Read what is cleaned every night, with every path made absolute; `--set` may change it.
 
     Raises
     ------

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from pipeline.errors import NightlyError
 from pipeline.nightly.clock import Clock, Ending
@@ -70,73 +70,46 @@ FAILURES = (MapOutcome.FAILED, MapOutcome.NO_SPACE)
 """What makes the exit code 4."""
 
 
-class MapLine(BaseModel):
-    """One line of `nightly.jsonl`.
-
-    Attributes
-    ----------
-    night, time : str
-        Beginning of the night, and when this was said; UTC, ISO 8601.
-    map : str
-        The file or folder.
-    outcome : MapOutcome
-    reason : str or None
-        Of a failure, in one line.
-    attempts : int
-        Nights that this content failed, this one counted.
-    run : str or None
-        The last good result, relative to the output folder: this night's where it was cleaned.
-    report : str or None
-        The page to look at, relative to the output folder.
-    points, removed : int or None
-        Of that result.
-    seconds : float or None
-        That this night took for the map.
-    """
-
-    model_config = ConfigDict(frozen=True)
+class MapLine(BaseModel, frozen=True):
+    """One line of `nightly.jsonl`."""
 
     night: str
     time: str
+    """Beginning of the night, and when this was said; UTC, ISO 8601."""
     map: str
+    """The file or folder."""
     outcome: MapOutcome
     reason: str | None = None
+    """Of a failure, in one line."""
     attempts: int = 0
+    """Nights that this content failed, this one counted."""
     run: str | None = None
+    """The last good result, relative to the output folder: this night's where it was cleaned."""
     report: str | None = None
+    """The page to look at, relative to the output folder."""
     points: int | None = None
     removed: int | None = None
+    """Of that result."""
     seconds: float | None = None
+    """That this night took for the map."""
 
 
-class NightSummary(BaseModel):
-    """What `nightly.json` holds.
-
-    Attributes
-    ----------
-    night, finished : str
-        Beginning and end; no end while the night lasts, or when it was killed.
-    ended : str
-        `done`: nothing was left to do. `time`: `stop_after`. `signal`. `running`.
-    exit_code : int or None
-    counts : dict of str to int
-        Maps by outcome.
-    problems : list of str
-        Inputs that could not be looked at.
-    maps : list of MapLine
-        The last line of each map.
-    """
-
-    model_config = ConfigDict(frozen=True)
+class NightSummary(BaseModel, frozen=True):
+    """What `nightly.json` holds."""
 
     version: str
     night: str
     finished: str | None
+    """Beginning and end; no end while the night lasts, or when it was killed."""
     ended: Literal["running", "done", "time", "signal"]
+    """`done`: nothing was left to do. `time`: `stop_after`. `signal`. `running`."""
     exit_code: int | None
     counts: dict[str, int]
+    """Maps by outcome."""
     problems: list[str]
+    """Inputs that could not be looked at."""
     maps: list[MapLine]
+    """The last line of each map."""
 
     def write(self, folder: Path) -> None:
         """Replace `nightly.json`."""
@@ -260,14 +233,7 @@ def put_long_file_aside(folder: Path) -> None:
 
 
 class Minutes:
-    """Writes `nightly.jsonl` line by line, and `nightly.json` anew with every line.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of both.
-    clock : Clock
-    """
+    """Writes `nightly.jsonl` line by line, and `nightly.json` anew with every line."""
 
     def __init__(self, output: Path, clock: Clock) -> None:
         self._output, self._clock = output, clock

@@ -14,24 +14,15 @@ from pipeline.nightly.summary import MapOutcome
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A map that is there, and what is known of it.
-
-    Attributes
-    ----------
-    found : FoundMap
-    states : Fingerprint
-        Its files, when it was looked at.
-    record : MapRecord
-    folder : MapFolder
-    is_read : bool
-        Whether its content was read since it was looked at.
-    """
+    """A map that is there, and what is known of it."""
 
     found: FoundMap
     states: Fingerprint
+    """Its files, when it was looked at."""
     record: MapRecord
     folder: MapFolder
     is_read: bool = False
+    """Whether its content was read since it was looked at."""
 
     def of_content(self) -> "Candidate":
         """Return the map as one whose content was read just now."""
@@ -64,15 +55,7 @@ class Candidate:
 
 
 def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapOutcome | None:
-    """Return why a map is not to be cleaned, None if it is.
-
-    Parameters
-    ----------
-    candidate : Candidate
-    settings : NightlySettings
-    now : float
-        Seconds since 1970.
-    """
+    """Return why a map is not to be cleaned now, None if it is."""
     if now - candidate.last_change(now) < settings.settle:
         return MapOutcome.WAITING
     if candidate.folder.result(candidate.key) is not None:

@@ -99,7 +99,6 @@ def write_means(
         Where temporary files may lie; there must be none.
     files : int
         Into which the points are sorted.
-    observer : StageObserver
     """
     names, record = averaged_fields(reader), np.dtype([])
     paths = [work / f"{number}" for number in range(files)]

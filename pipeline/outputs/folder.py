@@ -36,22 +36,15 @@ _ASIDE = "earlier"
 
 @dataclass(frozen=True, slots=True)
 class OutputNames:
-    """Names of the results, relative to the output folder; one of each for every input file.
-
-    Attributes
-    ----------
-    static, dynamic : tuple of Path
-        In the order of the input files; none where the outputs are labelled.
-    labelled : tuple of Path
-        In the order of the input files; none where the outputs are not labelled.
-    thinned : tuple of Path
-        In the order of the input files; none where nobody asked for them.
-    """
+    """Names of the results, relative to the output folder; one of each for every input file."""
 
     static: tuple[Path, ...] = ()
     dynamic: tuple[Path, ...] = ()
+    """In the order of the input files; none where the outputs are labelled."""
     labelled: tuple[Path, ...] = ()
+    """In the order of the input files; none where the outputs are not labelled."""
     thinned: tuple[Path, ...] = ()
+    """In the order of the input files; none where nobody asked for them."""
 
     @classmethod
     def of(
@@ -210,13 +203,7 @@ def _publish(staging: Path, folder: Path) -> None:
 
 @contextmanager
 def _renaming_all() -> Iterator[Callable[[Path, Path], None]]:
-    """Give what renames files; where anything fails in the block, the last one is taken back first.
-
-    Yields
-    ------
-    callable
-        Takes the old path and the new one, whose folder is made.
-    """
+    """Give what renames a file; where anything fails in the block, the last is taken back first."""
     done: list[tuple[Path, Path]] = []
 
     def rename(old: Path, new: Path) -> None:

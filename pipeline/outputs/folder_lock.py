@@ -38,16 +38,7 @@ def folder_is_locked(folder: Path) -> bool:
 def locked_folder(
     folder: Path, who: str = "run", error: type[PipelineError] = OutputError
 ) -> Iterator[None]:
-    """Hold the folder's lock.
-
-    Parameters
-    ----------
-    folder : Path
-    who : str
-        What holds it, in words.
-    error : type of PipelineError
-        Raised when another one does.
-    """
+    """Hold the folder's lock; `who` says what holds it. Another one that does is an error."""
     handle = _take_lock(folder)
     # Whoever asks whether the folder is locked holds the lock for a moment.
     for _ in range(2):
@@ -78,7 +69,6 @@ def _take_lock(folder: Path) -> int | None:
 
 
 def _give_lock(folder: Path, handle: int) -> None:
-    """Give a lock back."""
     if not stat.S_ISDIR(os.fstat(handle).st_mode):
         (folder / LOCK_FILE).unlink(missing_ok=True)
     os.close(handle)

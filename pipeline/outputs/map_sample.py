@@ -30,39 +30,27 @@ def magnitude(density: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class MapSample:
-    """Some points of a map, and what the method made of them; invalid points are not among them.
-
-    Attributes
-    ----------
-    total : int
-        Points of the whole map.
-    rows : (n,) int64 array
-        Row numbers, ascending.
-    xyz : (n, 3) float64 array
-        Metres.
-    labels : (n,) uint8 array
-    cluster : (n,) int32 array
-        -1 where not clustered.
-    density : (n,) float64 array
-        NaN where not scored.
-    score : (n,) float32 array
-        Probability of having moved; NaN where not scored, or not weighed.
-    scan : (n,) int32 array or None
-        Number of the scan that saw each, -1 where not known; None where nothing tells.
-    met, through : (n,) int64 array or None
-        How many scans met its voxel, and saw through it; None where poses are not known.
-    """
+    """Some points of a map, and what the method made of them; invalid points are not among them."""
 
     total: int
+    """Points of the whole map."""
     rows: NDArray[np.int64]
+    """(n,): row numbers, ascending."""
     xyz: NDArray[np.float64]
+    """(n, 3): metres."""
     labels: NDArray[np.uint8]
+    """(n,)"""
     cluster: NDArray[np.int32]
+    """(n,): -1 where not clustered."""
     density: NDArray[np.float64]
+    """(n,): NaN where not scored."""
     score: NDArray[np.float32]
+    """(n,): probability of having moved; NaN where not scored, or not weighed."""
     scan: NDArray[np.int32] | None = None
+    """(n,): number of the scan that saw each, -1 where not known; None where nothing tells."""
     met: NDArray[np.int64] | None = None
     through: NDArray[np.int64] | None = None
+    """(n,): how many scans met its voxel, and saw through it; None where poses are not known."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -86,32 +74,19 @@ class MapSample:
     def of_parts(cls, total: int, parts: Sequence["MapSample"]) -> Self:
         """Put the samples of all parts of a map together."""
         parts = [cls.empty(total), *parts]
-        rows = np.concatenate([part.rows for part in parts])
-        labels = np.concatenate([part.labels for part in parts])
-        order = np.argsort(rows)
-        order = order[labels[order] != Label.INVALID]
-        return cls(
-            total,
-            rows[order],
-            np.concatenate([part.xyz for part in parts])[order],
-            labels[order],
-            np.concatenate([part.cluster for part in parts])[order],
-            np.concatenate([part.density for part in parts])[order],
-            np.concatenate([part.score for part in parts])[order],
-        )
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
+        }
+        order = np.argsort(columns["rows"])
+        order = order[columns["labels"][order] != Label.INVALID]
+        return cls(total, **{name: column[order] for name, column in columns.items()})
 
     @classmethod
     def empty(cls, total: int) -> Self:
         """Return the sample of no points."""
-        return cls(
-            total,
-            np.empty(0, np.int64),
-            np.empty((0, 3)),
-            np.empty(0, np.uint8),
-            np.empty(0, np.int32),
-            np.empty(0),
-            np.empty(0, np.float32),
-        )
+        kinds = (np.uint8, np.int32, np.float64, np.float32)
+        others: list[Any] = [np.empty(0, kind) for kind in kinds]
+        return cls(total, np.empty(0, np.int64), np.empty((0, 3)), *others)
 
     def seen(self, scan: NDArray[np.int32] | None, views: Views | None, threads: int = 1) -> Self:
         """Add the scan of each point, and what all scans saw of its voxel."""

@@ -28,18 +28,12 @@ Labels = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointScores:
-    """What a labelled map says of each point beside its label.
-
-    Attributes
-    ----------
-    density : (n,) float64 array
-        NaN where not scored.
-    score : (n,) float32 array or None
-        Probability of having moved; None where no evidence was weighed.
-    """
+    """What a labelled map says of each point beside its label."""
 
     density: NDArray[np.float64]
+    """(n,): NaN where not scored."""
     score: NDArray[np.float32] | None
+    """(n,): probability of having moved; None where no evidence was weighed."""
 
     def of(self, rows: slice) -> "PointScores":
         """Return those of some rows."""
@@ -61,14 +55,7 @@ class OutputFormat(Protocol):
 
 
 class SplitMode:
-    """What stays and what goes, in an output each.
-
-    Parameters
-    ----------
-    reader : MapReader
-    labels : (n,) uint8 array
-        Of the file's points.
-    """
+    """What stays and what goes of a file's points, by their labels, in an output each."""
 
     def __init__(self, reader: MapReader, labels: Labels) -> None:
         self.reader = reader
@@ -91,15 +78,7 @@ class SplitMode:
 class LabelMode:
     """All points in one output, with labels and scores, and with classes where the format has them.
 
-    Parameters
-    ----------
-    reader : MapReader
-    labels : (n,) uint8 array
-        Of the file's points.
-    scores : PointScores
-        Of the file's points.
-    classes : mapping of Label to int or None
-        The class that points of each label get; None for their own.
+    `classes` gives the class of points of each label, None for their own.
     """
 
     def __init__(
@@ -129,8 +108,8 @@ class LabelMode:
         if batch.classification is None:
             return (self._extended.extend(batch, values),)
         classes = np.where(self._kept[labels], batch.classification, self._classes[labels])
-        values.append(batch.classification)
-        return (self._extended.extend(batch, values, classes),)
+        records = self._extended.extend(batch, [*values, batch.classification])
+        return (self._extended.with_classes(records, classes),)
 
 
 OutputMode = SplitMode | LabelMode
@@ -146,13 +125,7 @@ def own_names(name: str, suffix: str) -> tuple[str, str]:
 
 
 def added_fields(reader: MapReader, with_score: bool) -> tuple[Field, ...]:
-    """Return the fields that a labelled map has behind those of the input.
-
-    Parameters
-    ----------
-    reader : MapReader
-    with_score : bool
-        Whether evidence is weighed.
+    """Return the fields that a labelled map has behind those of the input; a score, if weighed.
 
     Raises
     ------
@@ -223,17 +196,7 @@ def _check_merging(readers: Sequence[MapReader]) -> None:
 def mode_of(
     reader: MapReader, output: OutputParameters, labels: Labels, scores: PointScores | None
 ) -> OutputMode:
-    """Return how the points of a file go into its outputs.
-
-    Parameters
-    ----------
-    reader : MapReader
-    output : OutputParameters
-    labels : (n,) uint8 array
-        Of the file's points.
-    scores : PointScores or None
-        Of the file's points, where `output.needs_scores`.
-    """
+    """Return how the points of a file go into its outputs; scores where `output.needs_scores`."""
     if output.mode == "split":
         return SplitMode(reader, labels)
     assert scores is not None  # asked for

@@ -15,9 +15,8 @@ from pipeline.errors import OutputError
 from pipeline.outputs.modes import DENSITY, LABEL, own_names
 from pipeline.replacing import LABELS_FILE, RUN_FILE
 from tiling.errors import MapFormatError
-from tiling.formats import open_map
-from tiling.formats.field_values import field_values
-from tiling.formats.parquet_file import open_parquet
+from tiling.formats import field_values, open_map
+from tiling.formats.parquet_tables import open_parquet
 from tiling.formats.points import DEFAULT_BATCH
 
 Points = NDArray[np.float64]
@@ -27,32 +26,21 @@ Densities = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ResultPoints:
-    """What became of every finite point of a map.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-    labels : (n,) uint8 array
-        `Label` of each; only static and dynamic where the outputs tell no more.
-    density : (n,) float64 array or None
-        None where the outputs do not tell; NaN for points that are not scored.
-    """
+    """What became of every finite point of a map."""
 
     xyz: Points
+    """(n, 3)"""
     labels: Labels
+    """(n,): `Label` of each; only static and dynamic where the outputs tell no more."""
     density: Densities | None
+    """(n,): None where the outputs do not tell; NaN for points that are not scored."""
 
 
 def read_result(folder: Path) -> ResultPoints:
-    """Read the points of a finished run.
+    """Read the points of a finished run, from its output folder.
 
     More than static and dynamic is known where the run wrote labels.parquet (`--labels`) or a
     labelled map.
-
-    Parameters
-    ----------
-    folder : Path
-        An output folder of `run`.
 
     Raises
     ------
@@ -163,19 +151,15 @@ def _read_xyz(folder: Path, file: dict[str, Any], kind: str) -> Points:
 
 
 def _read_table(path: Path) -> tuple[Labels, Densities]:
-    batches = [(np.empty(0, np.uint8), np.empty(0)), *table_batches(path)]
-    labels, density = (np.concatenate(column) for column in zip(*batches, strict=True))
-    return labels, density
+    columns = [*row_columns(path, (LABEL, DENSITY))]
+    labels = np.concatenate([np.empty(0, np.uint8), *(each[LABEL] for each in columns)])
+    return labels, np.concatenate([np.empty(0), *(each[DENSITY] for each in columns)])
 
 
-def table_batches(path: Path) -> Iterator[tuple[Labels, Densities]]:
-    """Yield labels and densities from `labels.parquet`, in order."""
-    for columns in row_columns(path, ("label", "density")):
-        yield columns["label"], columns["density"]
-
-
-def row_columns(path: Path, names: Sequence[str]) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield columns of `labels.parquet`, in order; labels as numbers.
+def row_columns(
+    path: Path, names: Sequence[str], rows: int = DEFAULT_BATCH
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield columns of `labels.parquet`, so many rows at a time; labels as numbers.
 
     Raises
     ------
@@ -187,9 +171,9 @@ def row_columns(path: Path, names: Sequence[str]) -> Iterator[dict[str, NDArray[
         missing = set(names) - set(file.schema_arrow.names)
         if missing:
             raise OutputError(f"{path}: has no column {min(missing)}; run again with --labels")
-        for batch in file.iter_batches(DEFAULT_BATCH, columns=list(names), use_threads=False):
+        for batch in file.iter_batches(rows, columns=list(names), use_threads=False):
             found = {name: batch.column(name) for name in names}
-            label = found.pop("label")
+            label = found.pop(LABEL)
             codes = np.array([numbers[title] for title in label.dictionary.to_pylist()], np.uint8)
             values = {name: column.to_numpy() for name, column in found.items()}
-            yield {"label": codes[label.indices.to_numpy()], **values}
+            yield {LABEL: codes[label.indices.to_numpy()], **values}

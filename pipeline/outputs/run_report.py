@@ -7,12 +7,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, SkipValidation
+from pydantic import BaseModel, SkipValidation
 
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import Configuration, is_elsewhere
-from pipeline.decision import Decision, Place
 from pipeline.outputs.folder import OutputNames
+from pipeline.places import Decision, Place
 from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
@@ -69,75 +69,60 @@ class ClusterReport(BaseModel):
         )
 
 
-class RunReport(BaseModel):
-    """Everything a run has to say.
-
-    Attributes
-    ----------
-    version : str
-        Of this product.
-    finished : str
-        Date and time, UTC, ISO 8601.
-    output : str
-        The output folder.
-    outputs : list of str
-        The files written into it.
-    input_hash : str
-        SHA-256 over the bytes of the input files, in order.
-    files : list of InputFile
-        The map's files, and the names of what became of each.
-    points : int
-        Points of the whole map.
-    counts : dict of str to int
-        Points of each label; they add up to `points`.
-    clusters : list of ClusterReport
-    places : list of Place
-        Where points were removed, the places of most points first.
-    place_count : int or None
-        All places, also those that are not listed; None in reports of old.
-    scattered_points : int or None
-        Removed points that are in no place.
-    uncertain_points : int or None
-        Points kept, though at least half as likely to have moved as those that go; None where the
-        evidence was not asked.
-    seconds : dict of str to float
-        Wall time of each stage.
-    peak_memory_bytes : int
-        Of this process.
-    peak_memory_all_bytes : int or None
-        Of this process and its workers together, at most: each is taken to be as large as the
-        largest. None where workers are on other machines.
-    warnings : list of str
-    system : str
-        Coordinate reference system and unit of the map, in words.
-    time : str or None
-        What told when points were seen, in words; None where the evidence was not asked.
-    configuration : dict
-        As resolved; the same as in `config.yaml`.
-    """
-
-    model_config = ConfigDict(frozen=True)
+class RunReport(BaseModel, frozen=True):
+    """Everything a run has to say."""
 
     version: str
+    """Of this product."""
     finished: str
+    """Date and time, UTC, ISO 8601."""
     output: FileName
+    """The output folder."""
     outputs: list[FileName]
+    """The files written into it."""
     input_hash: str
+    """SHA-256 over the bytes of the input files, in order."""
     files: list[InputFile]
+    """The map's files, and the names of what became of each."""
     points: int
+    """Points of the whole map."""
     counts: dict[str, int]
+    """Points of each label; they add up to `points`."""
     clusters: list[ClusterReport]
     places: list[Place] = []
+    """Where points were removed, the places of most points first."""
     place_count: int | None = None
+    """All places, also those that are not listed; None in reports of old."""
     scattered_points: int | None = None
+    """Removed points that are in no place."""
     uncertain_points: int | None = None
+    """Points kept, though at least half as likely to have moved as those that go; None where the
+    evidence was not asked."""
     seconds: dict[str, float]
+    """Wall time of each stage."""
     peak_memory_bytes: int
+    """Of this process."""
     peak_memory_all_bytes: int | None = None
+    """Of this process and its workers together, at most: each is taken to be as large as the
+    largest. None where workers are on other machines."""
     warnings: list[FileName]
     system: str = ""
+    """Coordinate reference system and unit of the map, in words."""
     time: str | None = None
+    """What told when points were seen, in words; None where the evidence was not asked."""
     configuration: dict[str, Any]
+    """As resolved; the same as in `config.yaml`."""
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read what a finished run left in its folder.
+
+        Raises
+        ------
+        OSError, ValueError
+            When there is no such file, or it is not the report of a run.
+        """
+        return cls.model_validate(json.loads((folder / RUN_FILE).read_text(encoding="utf-8")))
 
     @classmethod
     def of(

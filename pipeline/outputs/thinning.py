@@ -5,11 +5,9 @@ so that memory does not grow with the map, and the choice does not depend on how
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +17,10 @@ from dynahull.checking import valid_points
 from dynahull.labels import Label
 from pipeline.configuration.run import OutputParameters
 from pipeline.outputs.averaging import write_means
-from pipeline.outputs.writing import merged_batches
+from pipeline.outputs.writing import MapPart, parts_of
 from pipeline.progress import StageObserver
 from pipeline.work.files import make_rows, open_rows
 from tiling.collection import MapCollection
-from tiling.formats import MapReader, PointBatch
 from tiling.formats.points import DEFAULT_BATCH
 from tiling.output_file import create_file
 
@@ -45,38 +42,16 @@ def write_thinned(
 ) -> int:
     """Write the thinned map, a file for each of the map, or one of all; return its points.
 
-    Points without finite coordinates are in no voxel, and are left out.
-
-    Parameters
-    ----------
-    collection : MapCollection
-    labels : (N,) uint8 array
-        Dynamic points are left out.
-    output : OutputParameters
-        `voxel`, the edge in metres, and `merge`.
-    places : sequence of Path
-        Of the outputs.
-    staging : Path
-        Where temporary files may lie.
-    observer : StageObserver
+    Dynamic points are left out, and those without finite coordinates, which are in no voxel.
+    Temporary files lie in the staging folder.
     """
     work = staging / "voxels"
     work.mkdir()
     passes = 3 if output.voxel_fields == "mean" else 2
     observer.stage("thinning", passes * collection.point_count)
     owners = _find_owners(collection, labels, output, work, observer)
-    count = 0
-    if output.merge:
-        reader = collection.readers[0].merged()
-        part = _Part(reader, partial(merged_batches, collection), owners, 0)
-        count = _write(part, output, places[0], work, observer)
-    else:
-        first_rows = [*collection.first_rows, collection.point_count]
-        for reader, place, bounds in zip(
-            collection.readers, places, pairwise(first_rows), strict=True
-        ):
-            part = _Part(reader, reader.batches, owners[slice(*bounds)], bounds[0])
-            count += _write(part, output, place, work, observer)
+    parts = zip(parts_of(collection, output.merge), places, strict=True)
+    count = sum(_write(part, owners[part.rows], output, at, work, observer) for part, at in parts)
     shutil.rmtree(work)
     return count
 
@@ -136,43 +111,36 @@ def _sorted_by_voxel(
     return files
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """What goes into one output: points of a file of the map, or all; `owners` are theirs."""
-
-    reader: MapReader
-    batches: Callable[[], Iterator[PointBatch]]
-    owners: NDArray[np.int64]
-    first: int
-
-    def chosen(self, rows: slice) -> NDArray[np.bool_]:
-        """Tell which of some points stay: those that own themselves."""
-        own = self.owners[rows]
-        return np.asarray(own == np.arange(rows.start, rows.start + len(own)) + self.first)
-
-
 def _write(
-    part: _Part, output: OutputParameters, place: Path, work: Path, observer: StageObserver
+    part: MapPart,
+    owners: NDArray[np.int64],
+    output: OutputParameters,
+    place: Path,
+    work: Path,
+    observer: StageObserver,
 ) -> int:
-    """Write the chosen ones of some points as a reader's file has them; return their number."""
+    """Write those of some points that own themselves; return their number."""
     place.parent.mkdir(parents=True, exist_ok=True)
-    reader, total = part.reader, len(part.owners)
-    starts = range(0, total, DEFAULT_BATCH)
-    count = sum(
-        int(np.count_nonzero(part.chosen(slice(start, start + DEFAULT_BATCH)))) for start in starts
-    )
-    means = None
+    reader, first = part.reader, part.rows.start
+
+    def chosen(start: int, count: int = DEFAULT_BATCH) -> NDArray[np.bool_]:
+        own = owners[start : start + count]
+        return np.asarray(own == np.arange(start, start + len(own)) + first)
+
+    starts = range(0, part.count, DEFAULT_BATCH)
+    count = sum(int(np.count_nonzero(chosen(start))) for start in starts)
+    means, batches = None, partial(part.batches, DEFAULT_BATCH)
     if output.voxel_fields == "mean":
-        files = _file_count(total)
-        means = write_means(reader, part.batches(), part.owners, part.first, work, files, observer)
+        files = _file_count(part.count)
+        means = write_means(reader, batches(), owners, first, work, files, observer)
     with ExitStack() as stack:
         writer = stack.enter_context(reader.writer(place, count))
         stream = None if means is None else stack.enter_context(means.path.open("rb"))
-        for batch in part.batches():
-            chosen = part.chosen(slice(batch.first_row, batch.first_row + len(batch.xyz)))
-            records = batch.select(chosen)
+        for batch in batches():
+            own = chosen(batch.first_row, len(batch.xyz))
+            records = batch.select(own)
             if stream is not None and means is not None and means.names:
-                values = np.fromfile(stream, means.dtype, int(np.count_nonzero(chosen)))
+                values = np.fromfile(stream, means.dtype, int(np.count_nonzero(own)))
                 records = reader.with_values(records, {name: values[name] for name in means.names})
             writer.write(records)
             observer.advance(len(batch.xyz))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,54 +16,39 @@ from numpy.typing import NDArray
 from dynahull.labels import Label
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import OutputParameters
-from pipeline.decision import Decision
 from pipeline.errors import LostPointsError
 from pipeline.outputs.folder import OutputNames
-from pipeline.outputs.modes import PointScores, mode_of
+from pipeline.outputs.modes import OutputMode, PointScores, mode_of
+from pipeline.places import Decision
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views
 from tiling.collection import MapCollection
-from tiling.formats import PointBatch, open_map
+from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.points import DEFAULT_BATCH
 from tiling.output_file import create_file
 
 
 @dataclass(frozen=True, slots=True)
 class CleanedMap:
-    """What became of every point, in memory or in files that look like it.
-
-    Attributes
-    ----------
-    labels : (N,) uint8 array
-    cluster : (N,) int32 array or None
-    density : (N,) float64 array or None
-    score : (N,) float32 array or None
-    reason : (N,) uint8 array or None
-        None where nobody asked for them.
-    counts : dict of str to int
-        Points of each label.
-    clusters : tuple of ClusterSummary
-    decision : Decision
-    views : callable or None
-        Gives what the report shows; None where none is wanted.
-    tiles : TileWork or None
-        What they took; None where no report is wanted, or the map is one tile.
-    time : str or None
-        What told when points were seen, "none" where nothing did; None where nobody asked.
-    """
+    """What became of every point, in memory or in files that look like it."""
 
     labels: NDArray[np.uint8]
     cluster: NDArray[np.int32] | None
     density: NDArray[np.float64] | None
     score: NDArray[np.float32] | None
     reason: NDArray[np.uint8] | None
+    """(N,) each; all but the labels are None where nobody asked for them."""
     counts: dict[str, int]
+    """Points of each label."""
     clusters: tuple[ClusterSummary, ...]
     decision: Decision
     views: Callable[[], Views] | None = None
+    """Gives what the report shows; None where none is wanted."""
     tiles: TileWork | None = None
+    """What they took; None where no report is wanted, or the map is one tile."""
     time: str | None = None
+    """What told when points were seen, "none" where nothing did; None where nobody asked."""
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
@@ -83,6 +69,37 @@ def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
     return outputs
 
 
+@dataclass(frozen=True, slots=True)
+class MapPart:
+    """What goes into outputs of its own: the points of a file of the map, or of all its files."""
+
+    name: str
+    """What to call it in messages."""
+    reader: MapReader
+    """Whose writers write the points."""
+    rows: slice
+    """Of the map."""
+    batches: Callable[[int], Iterator[PointBatch]]
+    """Gives the points, so many at a time, counted from the first of them."""
+
+    @property
+    def count(self) -> int:
+        """How many points there are."""
+        return int(self.rows.stop - self.rows.start)
+
+
+def parts_of(collection: MapCollection, merge: bool) -> list[MapPart]:
+    """Return what goes into outputs of its own: each file of the map, or with `merge` all of it."""
+    if merge:
+        rows, reader = slice(0, collection.point_count), collection.readers[0].merged()
+        return [MapPart(collection.name, reader, rows, partial(merged_batches, collection))]
+    bounds = pairwise([*collection.first_rows, collection.point_count])
+    return [
+        MapPart(str(reader.description.path), reader, slice(*rows), reader.batches)
+        for reader, rows in zip(collection.readers, bounds, strict=True)
+    ]
+
+
 def write_maps(
     collection: MapCollection,
     output: OutputParameters,
@@ -99,14 +116,11 @@ def write_maps(
 
     Parameters
     ----------
-    collection : MapCollection
-    output : OutputParameters
     labels : (N,) uint8 array
     scores : PointScores or None
         There where the outputs are labelled.
     outputs : sequence of tuple of Path
         Of each file of the map.
-    observer : StageObserver
     written : collection of int
         Files of the map whose outputs are there already.
     read : callable, optional
@@ -117,63 +131,41 @@ def write_maps(
     LostPointsError
         When the files written do not add up to the input.
     """
-    if output.merge:
-        _write_merged(collection, output, labels, scores, outputs[0], observer)
-        return
-    first_rows = [*collection.first_rows, collection.point_count]
-    rows = [slice(*bounds) for bounds in pairwise(first_rows)]
-    streams = [index for index in range(len(outputs)) if index not in written]
+    parts = parts_of(collection, output.merge)
+    streams = [index for index in range(len(parts)) if index not in written]
     if streams:
-        observer.stage("write", sum(rows[index].stop - rows[index].start for index in streams))
+        observer.stage("write", sum(parts[index].count for index in streams))
     for index in streams:
-        reader = collection.readers[index]
-        own = None if scores is None else scores.of(rows[index])
-        mode = mode_of(reader, output, labels[rows[index]], own)
-        counts = mode.counts(range(reader.description.point_count))
-        with ExitStack() as stack:
-            writers = [
-                stack.enter_context(each.writer(path, count))
-                for each, path, count in zip(mode.formats, outputs[index], counts, strict=True)
-            ]
-            for batch in reader.batches() if read is None else read(index):
-                for writer, records in zip(writers, mode.records(batch), strict=True):
-                    writer.write(records)
-                observer.advance(len(batch.xyz))
-    for reader, of_file in zip(collection.readers, outputs, strict=True):
-        points = reader.description.point_count
-        found = sum(open_map(path).description.point_count for path in of_file)
-        if found != points:
-            raise LostPointsError(
-                f"{reader.description.path}: {points} points read, {found} written"
-            )
+        part = parts[index]
+        own = None if scores is None else scores.of(part.rows)
+        mode = mode_of(part.reader, output, labels[part.rows], own)
+        batches: Iterable[PointBatch] = part.batches(DEFAULT_BATCH)
+        if read is not None and not output.merge:
+            batches = read(index)
+        _stream(batches, mode, mode.counts(range(part.count)), outputs[index], observer)
+    for part, places in zip(parts, outputs, strict=True):
+        found = sum(open_map(path).description.point_count for path in places)
+        if found != part.count:
+            raise LostPointsError(f"{part.name}: {part.count} points read, {found} written")
 
 
-def _write_merged(
-    collection: MapCollection,
-    output: OutputParameters,
-    labels: NDArray[np.uint8],
-    scores: PointScores | None,
-    outputs: Sequence[Path],
+def _stream(
+    batches: Iterable[PointBatch],
+    mode: OutputMode,
+    counts: Sequence[int],
+    places: Sequence[Path],
     observer: StageObserver,
 ) -> None:
-    """Write the points of all files into one file of each kind, in the map's frame."""
-    count = collection.point_count
-    observer.stage("write", count)
-    mode = mode_of(collection.readers[0].merged(), output, labels, scores)
+    """Write points into one or two outputs, which will hold so many of them."""
     with ExitStack() as stack:
         writers = [
-            stack.enter_context(each.writer(path, points))
-            for each, path, points in zip(
-                mode.formats, outputs, mode.counts(range(count)), strict=True
-            )
+            stack.enter_context(each.writer(path, count))
+            for each, path, count in zip(mode.formats, places, counts, strict=True)
         ]
-        for batch in merged_batches(collection):
+        for batch in batches:
             for writer, records in zip(writers, mode.records(batch), strict=True):
                 writer.write(records)
             observer.advance(len(batch.xyz))
-    found = sum(open_map(path).description.point_count for path in outputs)
-    if found != count:
-        raise LostPointsError(f"{collection.name}: {count} points read, {found} written")
 
 
 def merged_batches(

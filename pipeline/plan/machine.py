@@ -70,10 +70,7 @@ def give_memory_back() -> None:
 def available_memory(root: Path = Path("/")) -> int:
     """Return the bytes that processes may still take: of the machine, or of a control group.
 
-    Parameters
-    ----------
-    root : Path
-        Of the file system in which `proc` and `sys` are looked for.
+    `proc` and `sys` are looked for within `root`.
     """
     free = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     for line in _lines(root / "proc/meminfo"):
@@ -85,31 +82,18 @@ def available_memory(root: Path = Path("/")) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Mount:
-    """A tree of groups, as the process sees it.
-
-    Attributes
-    ----------
-    folder : Path
-        Where it is seen.
-    root : str
-        The group that is seen there.
-    is_second : bool
-        Whether it is of the second version, which limits everything, or of the first for memory.
-    """
+    """A tree of groups, as the process sees it."""
 
     folder: Path
+    """Where it is seen."""
     root: str
+    """The group that is seen there."""
     is_second: bool
+    """Whether it is of the second version, which limits everything, or of the first for memory."""
 
 
 def memory_left(root: Path = Path("/")) -> int | None:
-    """Return the bytes that the control groups of this process leave it; None without a limit.
-
-    Parameters
-    ----------
-    root : Path
-        Of the file system in which `proc` and `sys` are looked for.
-    """
+    """Return the bytes that the control groups of this process leave it; None without a limit."""
     left = []
     for folder, is_second in _groups(root):
         statistics = _statistics(folder / "memory.stat")

@@ -1,5 +1,6 @@
 """The plan of a run: its tiles, and what they will take, before any of it is done."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from pipeline.plan.resources import (
     tile_budget,
     worker_memory_limit,
 )
+from pipeline.showing import drawing_library
+from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 from tiling.kept_points import bytes_kept
 from tiling.layout import Layout, quadtree
@@ -65,40 +68,26 @@ _HALO_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a map is cut, and what that takes.
-
-    Attributes
-    ----------
-    point_count : int
-        Points of the map.
-    layout : Layout
-    max_points : int
-        That the core of a tile may have.
-    halo : float
-        Metres.
-    held : (T,) int64 array
-        Points in core and halo of each tile, to the nearest lattice column.
-    workers : int
-    worker_memory : int
-        Bytes that a worker takes at most, projected.
-    disk : int
-        Bytes of temporary files at most, projected; the outputs not counted.
-    output_size : int
-        Bytes of the outputs, about.
-    seconds : float
-        Time of the run, projected roughly.
-    """
+    """How a map is cut, and what that takes."""
 
     point_count: int
+    """Points of the map."""
     layout: Layout
     max_points: int
+    """That the core of a tile may have."""
     halo: float
+    """Metres."""
     held: NDArray[np.int64]
+    """(T,): points in core and halo of each tile, to the nearest lattice column."""
     workers: int
     worker_memory: int
+    """Bytes that a worker takes at most, projected."""
     disk: int
+    """Bytes of temporary files at most, projected; the outputs not counted."""
     output_size: int
+    """Bytes of the outputs, about."""
     seconds: float
+    """Time of the run, projected roughly."""
 
     def figures(self) -> dict[str, Any]:
         """Return what `plan --json` prints: points, metres, bytes and seconds."""
@@ -143,16 +132,7 @@ class Plan:
 def make_plan(
     collection: MapCollection, survey: Survey, configuration: Configuration, workers: int
 ) -> Plan:
-    """Plan how a map is cut.
-
-    Parameters
-    ----------
-    collection : MapCollection
-    survey : Survey
-        Of the whole map.
-    configuration : Configuration
-    workers : int
-        That will share the work.
+    """Plan how a map is cut, by the survey of all of it, for so many workers to share the work.
 
     Raises
     ------
@@ -218,12 +198,7 @@ def neighbour_reach(occupancy: Occupancy, k: int) -> float:
 
 
 def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np.int64]:
-    """Count the points in core and halo of each tile, about; those of a column lie evenly in it.
-
-    Returns
-    -------
-    (T,) int64 array
-    """
+    """Count the points of each tile, (T,), about: core and halo; a column's lie evenly in it."""
     columns, share = divmod(halo, occupancy.cell)
     inner, outer = (
         count_within(occupancy, layout.low - margin, layout.high + margin)
@@ -233,14 +208,7 @@ def points_held(layout: Layout, occupancy: Occupancy, halo: float) -> NDArray[np
 
 
 def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
-    """Refuse a plan that cannot be carried out here.
-
-    Parameters
-    ----------
-    plan : Plan
-    configuration : Configuration
-    folder : Path
-        Where results and temporary files will lie; it need not be there yet.
+    """Refuse a plan that cannot be carried out in a folder, which need not be there yet.
 
     Raises
     ------
@@ -256,3 +224,60 @@ def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
             "choose a smaller tiling.max_points or tiling.halo, or fewer execution.workers"
         )
     check_space(folder, plan.disk, plan.output_size, configuration.output.keep_free)
+
+
+def draw_plan(plan: Plan, survey: Survey, path: Path) -> None:
+    """Draw the tiles over the map's occupancy, seen from above, into a PNG.
+
+    Raises
+    ------
+    MissingPackageError
+        When Matplotlib, of the extra `plot`, is not installed.
+    """
+    mpl = drawing_library()
+    figure = mpl.figure.Figure(figsize=(9, 9), layout="constrained")
+    axes = figure.add_subplot()
+    occupancy = survey.occupancy
+    corners = occupancy.columns * occupancy.cell
+    if len(corners):
+        image, extent = _occupancy_image(occupancy)
+        axes.imshow(image, extent=extent, origin="lower", cmap="Greys", interpolation="nearest")
+    for tile in plan.layout:
+        low, size = tile.low, tile.high - tile.low
+        axes.add_patch(
+            mpl.patches.Rectangle(
+                (low[0], low[1]), size[0], size[1], fill=False, edgecolor="tab:blue"
+            )
+        )
+    if len(plan.layout):
+        largest = int(np.argmax(plan.layout.counts))
+        low = plan.layout.low[largest] - plan.halo
+        size = plan.layout.high[largest] + plan.halo - low
+        axes.add_patch(
+            mpl.patches.Rectangle(
+                (low[0], low[1]), size[0], size[1], fill=False, edgecolor="tab:red", linestyle="--"
+            )
+        )
+        axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_xlabel("x, m")
+    axes.set_ylabel("y, m")
+    axes.set_title(
+        f"{plan.point_count:,} points, {len(plan.layout):,} tiles (blue); "
+        f"halo {plan.halo:.2f} m around the largest (red)"
+    )
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
+
+
+def _occupancy_image(occupancy: Occupancy) -> tuple[NDArray[np.float64], Sequence[float]]:
+    """Return logarithms of counts as a raster of at most some thousand pixels a side."""
+    low, high = occupancy.columns.min(axis=0), occupancy.columns.max(axis=0) + 1
+    step = max(1, int(np.ceil((high - low).max() / 1_000)))
+    at = (occupancy.columns - low) // step
+    width, height = (-(-(high - low) // step)).tolist()
+    image = np.zeros((height, width))
+    np.add.at(image, (at[:, 1], at[:, 0]), occupancy.counts)
+    low_x, low_y = (low * occupancy.cell).tolist()
+    side = step * occupancy.cell
+    return np.log1p(image), (low_x, low_x + width * side, low_y, low_y + height * side)

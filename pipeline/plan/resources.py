@@ -111,16 +111,9 @@ def output_size(collection: MapCollection, configuration: Configuration) -> int:
 
 
 def check_space(folder: Path, temporary: int, results: int, keep_free: int) -> None:
-    """Refuse what would take more disk than there is.
+    """Refuse temporary files and results, of so many bytes, for which a disk has no room.
 
-    Parameters
-    ----------
-    folder : Path
-        Where it would be written; it need not be there yet.
-    temporary, results : int
-        Bytes.
-    keep_free : int
-        Bytes that are left to others.
+    The folder need not be there yet; `keep_free` bytes are left to others.
 
     Raises
     ------

@@ -41,25 +41,17 @@ def power_of_ten(exponent: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A straight scale between two numbers, along some pixels.
-
-    Attributes
-    ----------
-    low, high : float
-        What is at the ends.
-    begin, end : float
-        Pixels of the ends.
-    title : str
-    write : callable
-        Writes a number beside the axis.
-    """
+    """A straight scale between two numbers, along some pixels."""
 
     low: float
     high: float
+    """What is at the ends."""
     begin: float
     end: float
+    """Pixels of the ends."""
     title: str = ""
     write: Callable[[float], str] = short
+    """Writes a number beside the axis."""
 
     def at(self, value: float) -> float:
         """Return the pixel of a value, to a tenth."""
@@ -103,30 +95,20 @@ def equation_axes(clusters: Sequence[ClusterReport], most_percent: float) -> tup
 
 @dataclass(frozen=True, slots=True)
 class DensityChart:
-    """The densities of a cluster, as a histogram.
-
-    Attributes
-    ----------
-    cluster : ClusterReport
-    x, y : Axis
-    kept, removed : str
-        Outlines of the bars; those that are kept stand on those that were removed.
-    threshold_at : float or None
-        Pixel of the run's threshold, where it is drawn.
-    cuts : str
-        Pixels of the cut at 0, 1 ... 100 %, by commas.
-    flat_percent : float
-        Share of the sampled points whose neighbourhood has no volume.
-    """
+    """The densities of a cluster, as a histogram."""
 
     cluster: ClusterReport
     x: Axis
     y: Axis
     kept: str
     removed: str
+    """Outlines of the bars; those that are kept stand on those that were removed."""
     threshold_at: float | None
+    """Pixel of the run's threshold, where it is drawn."""
     cuts: str
+    """Pixels of the cut at 0, 1 ... 100 %, by commas."""
     flat_percent: float
+    """Share of the sampled points whose neighbourhood has no volume."""
 
     @classmethod
     def of(
@@ -207,28 +189,19 @@ def _bars(
 
 @dataclass(frozen=True, slots=True)
 class TileWork:
-    """What the tiles of a run took.
-
-    Attributes
-    ----------
-    low, high : (T, 2) float64 arrays
-        Cores, metres.
-    points : (T,) int64 array
-        In each core.
-    seconds : (T,) float64 array
-        Of all tasks about the tile, on its worker.
-    resumed : (T,) bool array
-        Whether the densities were found by an earlier run, which did not end.
-    overfull : (T,) bool array
-        Whether a tile holds more points than wanted, being a single column of the lattice.
-    """
+    """What the tiles of a run took."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(T, 2): cores, metres."""
     points: NDArray[np.int64]
+    """(T,): in each core."""
     seconds: NDArray[np.float64]
+    """(T,): of all tasks about the tile, on its worker."""
     resumed: NDArray[np.bool_]
+    """(T,): whether the densities were found by an earlier run, which did not end."""
     overfull: NDArray[np.bool_]
+    """(T,): whether a tile holds more points than wanted, being a single column of the lattice."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -236,26 +209,17 @@ class TileWork:
 
 @dataclass(frozen=True, slots=True)
 class TileChart:
-    """The cores of the tiles seen from above, coloured by the time that they took.
-
-    Attributes
-    ----------
-    work : TileWork
-    x, y : Axis
-    limits : list of float
-        Seconds at the ends of the shades, one more than there are shades.
-    shades : list of int
-        Of each tile.
-    by_shade : list of str
-        Where tiles are too many to be named, the outline of all those of each shade.
-    """
+    """The cores of the tiles seen from above, coloured by the time that they took."""
 
     work: TileWork
     x: Axis
     y: Axis
     limits: list[float]
+    """Seconds at the ends of the shades, one more than there are shades."""
     shades: list[int]
+    """Of each tile."""
     by_shade: list[str]
+    """Where tiles are too many to be named, the outline of all those of each shade."""
 
     @classmethod
     def of(cls, work: TileWork) -> Self | None:

@@ -31,29 +31,16 @@ _OUTLIERS = 0.001
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """What the page's scripts read.
-
-    Attributes
-    ----------
-    arrays : dict of str to str
-        Base64 of little-endian numbers, by name.
-    facts : dict
-        How to read them.
-    """
+    """What the page's scripts read."""
 
     arrays: dict[str, str]
+    """Base64 of little-endian numbers, by name."""
     facts: dict[str, Any]
+    """How to read them."""
 
 
 def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
-    """Encode a sample.
-
-    Parameters
-    ----------
-    sample : MapSample
-    percentages : Percentages
-        Of the same points.
-    """
+    """Encode a sample, and the percentages of the same points."""
     low, high = view_bounds(sample.xyz)
     shown = np.flatnonzero(((sample.xyz >= low) & (sample.xyz <= high)).all(axis=1))
     span = np.where(high > low, high - low, 1.0)
@@ -108,21 +95,13 @@ def _narrow(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def view_bounds(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box that the views show: all points but those far away from nearly all others.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64 array
-    """
+    """Return the box that the views show: all points but those far away from nearly all others."""
     if not len(xyz):
         return np.zeros(3), np.ones(3)
     near, far = np.quantile(xyz, [_OUTLIERS, 1 - _OUTLIERS], axis=0)
     spread = far - near
     margin = np.maximum(spread, spread.max() / 10) / 2
-    return (
-        np.maximum(xyz.min(axis=0), near - margin),
-        np.minimum(xyz.max(axis=0), far + margin),
-    )
+    return (np.maximum(xyz.min(axis=0), near - margin), np.minimum(xyz.max(axis=0), far + margin))
 
 
 def icon(sample: MapSample) -> str:

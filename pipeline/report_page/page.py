@@ -14,9 +14,9 @@ from markupsafe import Markup
 from dynahull.parameters import RemovalParameters
 from dynahull.result import ClusterSummary
 from pipeline.configuration.quantities import in_time, in_units
-from pipeline.decision import Decision
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.run_report import ClusterReport, RunReport, share_of
+from pipeline.places import Decision
 from pipeline.report_page.charts import (
     MOST_HISTOGRAMS,
     Axis,
@@ -48,18 +48,10 @@ _MOST_FILES = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """What of a page takes time: measured before the rest, which tells how long it took.
-
-    Attributes
-    ----------
-    sample : MapSample
-        What the views show.
-    percentages : Percentages
-    encoded : EncodedSample
-    densities : list of DensityChart
-    """
+    """What of a page takes time: measured before the rest, which tells how long it took."""
 
     sample: MapSample
+    """What the views show."""
     percentages: Percentages
     encoded: EncodedSample
     densities: list[DensityChart]
@@ -85,13 +77,8 @@ class Views:
 def render_page(report: RunReport, views: Views, tiles: TileWork | None) -> str:
     """Return the page of a run, as HTML.
 
-    Parameters
-    ----------
-    report : RunReport
-        Every figure of the page is one of it, or is told to be an estimate.
-    views : Views
-    tiles : TileWork or None
-        None where the map was one tile, cleaned in memory.
+    Every figure of it is one of the report, or is told to be an estimate. There are no tiles where
+    the map was one, cleaned in memory.
     """
     removal = report.configuration["removal"]
     by_evidence = removal["decision"] == "auto"

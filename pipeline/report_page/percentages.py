@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.labels import Label
-from pipeline.decision import SCORE_STEPS, Decision
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.run_report import ClusterReport
+from pipeline.places import SCORE_STEPS, Decision
 
 NEVER = np.inf
 """Of points that no setting removes: ground, and points of infinite density."""
@@ -30,49 +30,30 @@ _CUT_STEP = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Percentages:
-    """What each percentage takes.
-
-    Attributes
-    ----------
-    own : float
-        The run's `removal.max_percent`, or what its `removal.confidence` lacks of certainty.
-    removed_from : (n,) float64 array
-        For each sampled point the percentage from which on it goes; `NEVER` is possible.
-        What the run removed is at or below `own`, and the rest above it.
-    step : float
-        Percent between two entries of `removed_points`.
-    removed_points : (T,) int64 array
-        Points of the whole map that go at 0, 0.1 ... 100 %: R_i of N_i by Eq. 1, as far as points
-        of finite density last, whose share of a cluster is that in the sample. By evidence, at 0,
-        1 ... 100 %, exactly.
-    cuts : dict of int to (101,) float64 array
-        For each cluster the density of the densest point that goes at 0, 1 ... 100 %, from the
-        sample; NaN where none goes.
-    margin : float
-        Percent of its points by which the cut of a cluster in the sample may be off (95 %).
-    """
+    """What each percentage takes."""
 
     own: float
+    """The run's `removal.max_percent`, or what its `removal.confidence` lacks of certainty."""
     removed_from: NDArray[np.float64]
+    """(n,): for each sampled point the percentage from which on it goes; `NEVER` is possible. What
+    the run removed is at or below `own`, and the rest above it."""
     step: float
+    """Percent between two entries of `removed_points`."""
     removed_points: NDArray[np.int64]
+    """(T,): points of the whole map that go at 0, 0.1 ... 100 %: R_i of N_i by Eq. 1, as far as
+    points of finite density last, whose share of a cluster is that in the sample. By evidence, at
+    0, 1 ... 100 %, exactly."""
     cuts: dict[int, NDArray[np.float64]]
+    """(101,): for each cluster the density of the densest point that goes at 0, 1 ... 100 %, from
+    the sample; NaN where none goes."""
     margin: float
+    """Percent of its points by which the cut of a cluster in the sample may be off (95 %)."""
 
 
 def removal_percentages(
     sample: MapSample, clusters: Sequence[ClusterReport], removal: dict[str, Any]
 ) -> Percentages:
-    """Find what each percentage takes.
-
-    Parameters
-    ----------
-    sample : MapSample
-    clusters : sequence of ClusterReport
-        As the run reports them.
-    removal : dict
-        The section of that name in the run's configuration.
-    """
+    """Find what each percentage takes of a run's clusters, by `removal` of its configuration."""
     own = float(removal["max_percent"])
     steps = np.arange(round(100 / TABLE_STEP) + 1) * TABLE_STEP
     removed_from = np.full(len(sample), NEVER)
@@ -108,17 +89,7 @@ def removal_percentages(
 def confidence_percentages(
     sample: MapSample, clusters: Sequence[ClusterReport], confidence: float, decision: Decision
 ) -> Percentages:
-    """Find what each confidence takes, where the evidence decides.
-
-    Parameters
-    ----------
-    sample : MapSample
-    clusters : sequence of ClusterReport
-    confidence : float
-        The run's own.
-    decision : Decision
-        Of the whole map.
-    """
+    """Find what each confidence takes, beside the run's own, where the evidence decides."""
     own = 100 * (1 - confidence)
     lacking = 100 * (1 - sample.score.astype(np.float64))
     gone = sample.labels == Label.DYNAMIC

@@ -17,7 +17,7 @@ from dynahull.density import SMALLEST_CLUSTER, SPREAD_COLUMNS, reference_spreads
 from dynahull.kernels import hull_densities
 from dynahull.kernels.density import HullDensities
 from dynahull.parameters import MethodParameters
-from dynahull.reference.density import reference_densities
+from dynahull.reference import reference_densities
 from dynahull.result import NO_CLUSTER
 from pipeline.tiles.nearest import FreePoints, NearestSoFar, Vicinity
 
@@ -29,27 +29,18 @@ _FARTHEST_GATHERED = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Where all ground-free points are known: low <= x, y < high, infinite where the map ends.
-
-    Attributes
-    ----------
-    low, high : (2,) float64 arrays
-    """
+    """Where all ground-free points are known: low <= x, y < high, infinite where the map ends."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(2,)"""
 
     def suffices(
         self, xyz: NDArray[np.float64], squared_reach: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
         """Tell whose neighbours all lie inside: nothing outside is as near as their k-th.
 
-        Parameters
-        ----------
-        xyz : (n, 3) float64 array
-            Points inside.
-        squared_reach : (n,) float64 array
-            Squared distance of their k-th neighbour inside; NaN or infinite if there is none.
+        The squared reach, (n,), is NaN or infinite where there is no k-th neighbour inside.
         """
         # Rounding is monotonic: a point beyond the border is no nearer than this, to the last bit.
         border = self.distance_to_border(xyz)
@@ -85,23 +76,16 @@ class OtherTiles(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CoreDensities:
-    """Cluster and density of a tile's ground-free core points.
-
-    Attributes
-    ----------
-    cluster : (n,) int32 array
-    density : (n,) float64 array
-        NaN where the whole cluster has fewer than four points.
-    spread : (n, SPREAD_COLUMNS) or (n, 0) float32 array
-        How the neighbours are spread, where the decision asks.
-    finished_elsewhere : int
-        Points that needed further tiles.
-    """
+    """Cluster and density of a tile's ground-free core points."""
 
     cluster: NDArray[np.int32]
+    """(n,)"""
     density: NDArray[np.float64]
+    """(n,): NaN where the whole cluster has fewer than four points."""
     spread: NDArray[np.float32]
+    """(n, SPREAD_COLUMNS) or (n, 0): how the neighbours are spread, where the decision asks."""
     finished_elsewhere: int
+    """Points that needed further tiles."""
 
 
 def core_densities(
@@ -112,25 +96,9 @@ def core_densities(
     clusters: Clusters,
     parameters: MethodParameters,
 ) -> CoreDensities:
-    """Score the core points of a tile.
+    """Score the core points of a tile, in their order, knowing all ground-free ones of its region.
 
-    Parameters
-    ----------
-    known : FreePoints
-        All ground-free points of the region.
-    core : (n,) bool array
-        Which of them are the tile's own.
-    region : Region
-    others : OtherTiles
-        Tiles to finish from, the tile itself not among them.
-    clusters : Clusters
-    parameters : MethodParameters
-        `neighbours.k`, `density.device` and `removal.decision` are used.
-
-    Returns
-    -------
-    CoreDensities
-        For the core points, in their order.
+    `others` are tiles to finish from, the tile itself not among them.
     """
     membership = np.full(len(known), NO_CLUSTER, np.int32)
     if len(clusters.centroids):  # a tile's own clusters are none where it has no points
@@ -189,14 +157,7 @@ def _inside_densities(
 class _Rest:
     """What is left to do of a tile: points that may have a neighbour beyond the region.
 
-    Parameters
-    ----------
-    known : FreePoints
-        All ground-free points of the region.
-    membership : (n,) int32 array
-        Their clusters.
-    region, others, clusters, parameters
-        As for `core_densities`.
+    Parameters are those of `core_densities`, and the clusters of all points.
     """
 
     def __init__(

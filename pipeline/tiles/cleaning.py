@@ -10,7 +10,7 @@ from dynahull.clustering import Clusters, fit_clusters, sample_rows
 from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.viewpoints import Viewpoints
 from dynahull.labels import Label
-from dynahull.rescale import removal_percentages
+from dynahull.removal import removal_percentages
 from dynahull.result import ClusterSummary
 from dynahull.strays import OUTSKIRTS_NAMES, Outskirts, Strays
 from dynahull.warn import (
@@ -52,9 +52,8 @@ from pipeline.work.job import (
 )
 from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
-from tiling.chunk_store import ChunkStore
+from tiling.chunks import ChunkStore, grid_of
 from tiling.collection import MapCollection
-from tiling.common_grid import grid_of
 from tiling.errors import GridError
 from tiling.ledger import noting
 from tiling.resolution import coarse_step_notes
@@ -64,22 +63,12 @@ _SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
 
 
 def clean_tiles(
-    job: Job,
-    executor: Executor,
-    observer: StageObserver,
-    check: Callable[[Plan], None],
+    job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
 ) -> tuple[dict[str, int], tuple[ClusterSummary, ...]]:
     """Label every point of a map that is cut into tiles.
 
-    Labels, clusters and densities are in files, a value a row.
-
-    Parameters
-    ----------
-    job : Job
-    executor : Executor
-    observer : StageObserver
-    check : callable
-        Told of the plan before any tile is cut; raises where it cannot be carried out.
+    Labels, clusters and densities are in files, a value a row. `check` is told of the plan before
+    any tile is cut, and raises where it cannot be carried out.
 
     Returns
     -------

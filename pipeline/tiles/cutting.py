@@ -36,22 +36,15 @@ _AT_A_TIME = 1 << 22
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetAside:
-    """What the whole map says of points that take no part.
-
-    Attributes
-    ----------
-    heap : int
-        Points at exactly the origin, if they are a heap; otherwise 0.
-    strays : (n,) int64 array
-        Row numbers, ascending.
-    left_out, protected : int
-        Points that are marked so.
-    """
+    """What the whole map says of points that take no part."""
 
     heap: int
+    """Points at exactly the origin, if they are a heap; otherwise 0."""
     strays: NDArray[np.int64]
+    """(n,): row numbers, ascending."""
     left_out: int
     protected: int
+    """Points that are marked so."""
 
     @property
     def unscored(self) -> int:

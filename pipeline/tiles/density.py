@@ -1,5 +1,7 @@
 """The task that scores one tile."""
 
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,19 +14,12 @@ from dynahull.evidence.range_images import Returns
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.labels import Label
 from dynahull.warn import density_levels
-from pipeline.tiles.borders import core_densities
-from pipeline.tiles.division import divided, widened
-from pipeline.tiles.ground import (
-    SAMPLE_NAMES,
-    TilesAround,
-    labelled_points,
-    own_points,
-    region_of,
-)
+from pipeline.tiles.borders import CoreDensities, Region, core_densities
+from pipeline.tiles.ground import SAMPLE_NAMES, TilesAround, labelled_points, own_points, region_of
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunk_store import Chunk
+from tiling.chunks import Chunk
 
 VOXELS = "voxels"
 RETURNS = ("pixel", "range")
@@ -51,34 +46,12 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     known = np.flatnonzero(labels == Label.STATIC)
     free, core = FreePoints(chunk.xyz[known], chunk.rows[known]), chunk.core[known]
     del chunk, labels, unscored, known
-    xyz = free.xyz
     clusters = clusters_of(job, tile)
-    region = region_of(job, tile)
-    # Around a part lies the rest of the tile, as other tiles lie around the tile.
-    others = TilesAround(job, tile if sides == 1 else None)
-    cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
-    columns = SPREAD_COLUMNS if weighs else 0
-    spread = np.full((len(free), columns), np.nan, np.float32)
-    finished_elsewhere = 0
-    for box in divided(region, xyz, sides):
-        around = widened(box, _NEIGHBOURS_WITHIN, region)
-        known = np.flatnonzero(around.holds(xyz))
-        own = core[known] & box.holds(xyz[known])
-        scores = core_densities(
-            free if len(known) == len(free) else free.select(known),
-            own,
-            around,
-            others,
-            clusters,
-            job.configuration.method(),
-        )
-        cluster[known[own]], density[known[own]] = scores.cluster, scores.density
-        spread[known[own]] = scores.spread
-        finished_elsewhere += scores.finished_elsewhere
-    cluster, density = cluster[core], density[core]
+    scores = _core_scores(job, tile, sides, free, core, clusters)
+    cluster, density = scores.cluster, scores.density
     if weighs:
         unknown, scans = np.full(len(density), np.nan), job.scans_of(free.rows[core])
-        points = ScoredPoints(xyz[core], density, spread[core], unknown, scans)
+        points = ScoredPoints(free.xyz[core], density, scores.spread, unknown, scans)
         voxels.append(summarise_points(points))
         summed = Voxels.merged(voxels).to_arrays(VOXELS)
         job.work.make("spread")
@@ -94,7 +67,36 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         centroids=clusters.centroids,
     )
     counts = np.bincount(cluster, minlength=len(clusters.centroids))
-    return TaskReport(int(job.store.layout.counts[tile]), (finished_elsewhere, *counts.tolist()))
+    elsewhere = scores.finished_elsewhere
+    return TaskReport(int(job.store.layout.counts[tile]), (elsewhere, *counts.tolist()))
+
+
+def _core_scores(
+    job: Job,
+    tile: int,
+    sides: int,
+    free: FreePoints,
+    core: NDArray[np.bool_],
+    clusters: Clusters,
+) -> CoreDensities:
+    """Score the points of a tile's core, one part of the tile after the other."""
+    xyz, region, parameters = free.xyz, region_of(job, tile), job.configuration.method()
+    # Around a part lies the rest of the tile, as other tiles lie around the tile.
+    others = TilesAround(job, tile if sides == 1 else None)
+    cluster, density = np.zeros(len(free), np.int32), np.full(len(free), np.nan)
+    columns = SPREAD_COLUMNS if parameters.removal.weighs_evidence else 0
+    spread = np.full((len(free), columns), np.nan, np.float32)
+    finished_elsewhere = 0
+    for box in divided(region, xyz, sides):
+        around = widened(box, _NEIGHBOURS_WITHIN, region)
+        known = np.flatnonzero(around.holds(xyz))
+        own = core[known] & box.holds(xyz[known])
+        points = free if len(known) == len(free) else free.select(known)
+        scores = core_densities(points, own, around, others, clusters, parameters)
+        cluster[known[own]], density[known[own]] = scores.cluster, scores.density
+        spread[known[own]] = scores.spread
+        finished_elsewhere += scores.finished_elsewhere
+    return CoreDensities(cluster[core], density[core], spread[core], finished_elsewhere)
 
 
 def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:
@@ -104,6 +106,44 @@ def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:
         return {}
     returns = Returns.of(chunk.xyz[chunk.core], viewpoints.rows(scans), viewpoints.places)
     return dict(zip(RETURNS, (returns.pixel, returns.range), strict=True))
+
+
+SIDES = (2, 4)
+"""In how many parts each way a tile is done that was too large, and again if it still was."""
+
+
+def divided(region: Region, xyz: NDArray[np.float64], sides: int) -> list[Region]:
+    """Cut a region into sides x sides boxes of about equally many points, some perhaps empty.
+
+    A tile is worked on in such parts where the memory does not suffice for it as a whole. Its
+    points stay those of one tile in all that is kept of it. Each place of the region is in just one
+    box; they are cut first by x, and then by y.
+    """
+    if sides == 1:
+        return [region]
+    return [
+        box
+        for strip in _strips(region, xyz[region.holds(xyz), 0], 0, sides)
+        for box in _strips(strip, xyz[strip.holds(xyz), 1], 1, sides)
+    ]
+
+
+def widened(box: Region, margin: float, limits: Region) -> Region:
+    """Return a box with a margin around it, as far as it lies within limits."""
+    return Region(
+        np.maximum(box.low - margin, limits.low), np.minimum(box.high + margin, limits.high)
+    )
+
+
+def _strips(region: Region, places: NDArray[np.float64], axis: int, count: int) -> Iterator[Region]:
+    """Cut a region across one axis, where its points are."""
+    ranks = np.arange(1, count) * len(places) // count
+    inner = np.partition(places, ranks)[ranks] if len(places) else places
+    edges = [region.low[axis], *inner, region.high[axis]]
+    for start, end in pairwise(edges):
+        low, high = region.low.copy(), region.high.copy()
+        low[axis], high[axis] = start, end
+        yield Region(low, high)
 
 
 def clusters_of(job: Job, tile: int) -> Clusters:

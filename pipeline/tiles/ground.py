@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from dynahull.clustering import sample_rows
 from dynahull.ground.lattice import number_columns
-from dynahull.ground.methods import (
-    ground_mask,
-    ground_summary,
-    height_above_floors,
-    height_summary,
-)
+from dynahull.ground.methods import ground_mask, ground_summary, height_above_floors, height_summary
 from dynahull.ground.reach import decided_around, ground_radius, height_radius
 from dynahull.ground.slope import GroundSummary
 from dynahull.labels import Label
@@ -28,8 +23,7 @@ from pipeline.tiles.nearest import FreePoints
 from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunk_store import Chunk
-from tiling.chunks import read_chunk
+from tiling.chunks import Chunk, read_chunk
 
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 LABELS = "labels"
@@ -170,14 +164,7 @@ def own_points(job: Job, tile: int) -> FreePoints:
 
 
 class TilesAround:
-    """The ground-free points of all other tiles, from their files; see `borders.OtherTiles`.
-
-    Parameters
-    ----------
-    job : Job
-    tile : int or None
-        The tile whose others these are; None for all tiles.
-    """
+    """The ground-free points of all tiles but one, from their files; see `borders.OtherTiles`."""
 
     def __init__(self, job: Job, tile: int | None) -> None:
         self._job = job

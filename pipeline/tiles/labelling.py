@@ -10,14 +10,12 @@ from numpy.typing import DTypeLike, NDArray
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.reasons import NO_REASON
 from dynahull.labels import Label
-from dynahull.removal import remove_likely
-from dynahull.rescale import removal_percentages, smallest_counted
+from dynahull.removal import removal_percentages, remove_likely, smallest_counted
 from dynahull.result import NO_CLUSTER
-from pipeline.decision import Decision
 from pipeline.errors import WorkError
 from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
 from pipeline.outputs.map_sample import MapSample, is_sampled
-from pipeline.places import ARRAY_NAMES, DecisionSums
+from pipeline.places import ARRAY_NAMES, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.report_page.charts import TileWork
 from pipeline.tiles.cutting import label_unscored, protected_rows
@@ -199,10 +197,6 @@ class RowResults:
 
     One process writes them. The rows of a tile lie all over a file: workers of several machines
     would write to the same page, and on NFS the last of them would undo what the others wrote.
-
-    Parameters
-    ----------
-    job : Job
     """
 
     def __init__(self, job: Job) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import nearest_neighbours
 
 _MOST_CELLS = 1_000
 """Cells of a vicinity along each axis: a million together, a byte each."""
@@ -14,16 +14,12 @@ _MOST_CELLS = 1_000
 
 @dataclass(frozen=True, slots=True)
 class FreePoints:
-    """Ground-free points.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-    rows : (n,) int64 array
-    """
+    """Ground-free points."""
 
     xyz: NDArray[np.float64]
+    """(n, 3)"""
     rows: NDArray[np.int64]
+    """(n,)"""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -94,15 +90,9 @@ class Vicinity:
 
 
 class NearestSoFar:
-    """The k nearest points met so far, of each of some queries.
+    """The k nearest points met so far, of each of some queries, (m, 3).
 
-    Parameters
-    ----------
-    centres : (m, 3) float64 array
-        The queries.
-    k : int
-    reach : (m,) float64 array
-        Distances beyond which no neighbour is, metres; infinite where not known.
+    Beyond its reach, in metres and infinite where not known, a query has no neighbour.
     """
 
     def __init__(self, centres: NDArray[np.float64], k: int, reach: NDArray[np.float64]) -> None:

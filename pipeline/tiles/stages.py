@@ -11,8 +11,7 @@ from pipeline.errors import TasksFailedError
 from pipeline.plan.machine import give_memory_back
 from pipeline.progress import StageObserver
 from pipeline.tiles.cutting import cut_rows, gather_tile, survey_rows
-from pipeline.tiles.density import score_tile
-from pipeline.tiles.division import SIDES
+from pipeline.tiles.density import SIDES, score_tile
 from pipeline.tiles.ground import find_ground, find_high, summarise_tile
 from pipeline.tiles.labelling import label_tile
 from pipeline.tiles.weighing import weigh_tile
@@ -58,7 +57,7 @@ _NAMED = 10
 def do_task(stage: str, folder: str, number: int, sides: int = 1) -> TaskReport:
     """Do one task of a run, and mark it as done. This is what workers are given.
 
-    With `sides` above one it is done in so many parts each way, see `pipeline.tiles.division`.
+    With `sides` above one it is done in so many parts each way, see `pipeline.tiles.density`.
     """
     job = Job.open(folder)
     begun = time.perf_counter()
@@ -99,8 +98,6 @@ def do_stage(
 
     Parameters
     ----------
-    job : Job
-    executor : Executor
     observer : StageObserver
         Told of points, not of tasks.
     stage : str
@@ -207,19 +204,16 @@ class _State:
         self.write()
 
     def count(self, report: TaskReport) -> None:
-        """Count a task that is done."""
         self._values["done_tasks"] += 1
         self._values["done_points"] += report.points
         if time.time() - self._written >= _STATE_EVERY:
             self.write()
 
     def fail(self, number: int, reason: str) -> None:
-        """Count a task that failed."""
         self._values["failed"][number] = reason
         self.write()
 
     def write(self) -> None:
-        """Tell other terminals."""
         now = self._written = time.time()
         elapsed = max(now - self._begun, 1e-3)
         rate = (self._values["done_points"] - self._earlier) / elapsed

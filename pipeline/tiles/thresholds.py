@@ -1,9 +1,9 @@
 """The exact threshold of each cluster over all tiles, without gathering all densities in one place.
 
-The densities of one tile are looked at a time, see `order_statistic`.
+The densities of one tile are looked at a time.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Literal, Protocol
@@ -11,12 +11,36 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.removal import removable_count, stepped_quartiles, stepped_threshold
-from dynahull.rescale import removal_count
-from pipeline.tiles.order_statistic import order_statistic
+from dynahull.removal import removable_count, removal_count, stepped_quartiles, stepped_threshold
 
-_ROW_BITS = 20
-"""Of a row number: that many rows are held at a time when equally dense points are told apart."""
+_STEP = 16
+
+
+def order_statistic(batches: Iterable[NDArray[np.float64]], rank: int) -> float:
+    """Return the number of a rank, from zero, of more numbers than memory holds.
+
+    A float64 that is not negative orders like its bits, so each pass finds sixteen more bits of the
+    number: it counts the next sixteen of those that begin with the bits known so far.
+    """
+    prefix, below = 0, 0
+    for shift in range(64 - _STEP, -1, -_STEP):
+        counts = np.zeros(1 << _STEP, np.int64)
+        for batch in batches:
+            bits = _bits(batch)
+            if shift + _STEP < 64:
+                bits = bits[bits >> np.uint64(shift + _STEP) == np.uint64(prefix)]
+            digits = (bits >> np.uint64(shift)) & np.uint64((1 << _STEP) - 1)
+            counts += np.bincount(digits.astype(np.intp), minlength=len(counts))
+        totals = below + np.cumsum(counts)
+        digit = int(np.searchsorted(totals, rank, side="right"))
+        below = int(totals[digit] - counts[digit])
+        prefix = prefix << _STEP | digit
+    return float(np.array(prefix, np.uint64).view(np.float64))
+
+
+def _bits(numbers: NDArray[np.float64]) -> NDArray[np.uint64]:
+    # Of the two zeros, the negative one has the largest bits.
+    return (numbers + 0.0).view(np.uint64)
 
 
 class ScoredTile(Protocol):
@@ -31,18 +55,12 @@ class ScoredTile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """Where a cluster is cut: below it all points are dynamic.
-
-    Attributes
-    ----------
-    density : float or None
-        Points of a lower density go; None: no point goes.
-    last_row : int
-        Of the points of just this density those go whose row number is not above this; -1: none.
-    """
+    """Where a cluster is cut: below it all points are dynamic."""
 
     density: float | None
+    """Points of a lower density go; None: no point goes."""
     last_row: int = -1
+    """Of the points of just this density those go whose row number is not above this; -1: none."""
 
     def dynamic(self, density: NDArray[np.float64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which points of the cluster are dynamic."""
@@ -58,22 +76,7 @@ def find_cuts(
     percentages: Sequence[Fraction],
     threshold: Literal["rank", "stepped"],
 ) -> list[Cut]:
-    """Find where each cluster is cut, exactly as `dynahull.removal` does on arrays.
-
-    Parameters
-    ----------
-    tiles : sequence of ScoredTile
-    counts : sequence of int
-        N_i of every cluster of the whole map.
-    percentages : sequence of Fraction
-        R_i of Eq. 1.
-    threshold : {"rank", "stepped"}
-
-    Returns
-    -------
-    list of Cut
-        One for each cluster.
-    """
+    """Find where each cluster is cut, as `dynahull.removal` does on arrays, by N_i and R_i."""
     find = _cut_by_rank if threshold == "rank" else _cut_by_steps
     return [
         find(tiles, cluster, count, percentage)
@@ -84,24 +87,22 @@ def find_cuts(
 def _cut_by_rank(
     tiles: Sequence[ScoredTile], cluster: int, count: int, percentage: Fraction
 ) -> Cut:
-    densities = _Densities(tiles, cluster)
-    removed = min(removal_count(percentage, count), densities.finite())
+    densities = _Passes(tiles, lambda tile: tile.densities(cluster))
+    removed = min(removal_count(percentage, count), _finite(densities))
     if not removed:
         return Cut(None)
     limit = order_statistic(densities, removed - 1)
     below = sum(int(np.count_nonzero(each < limit)) for each in densities)
-
-    def rows() -> Iterator[NDArray[np.int64]]:
-        return (tile.rows_at(cluster, limit) for tile in tiles)
-
-    return Cut(limit, _row_of_rank(rows, removed - 1 - below))
+    # Row numbers are exact as floating point numbers, too.
+    tied = _Passes(tiles, lambda tile: tile.rows_at(cluster, limit).astype(np.float64))
+    return Cut(limit, int(order_statistic(tied, removed - 1 - below)))
 
 
 def _cut_by_steps(
     tiles: Sequence[ScoredTile], cluster: int, count: int, percentage: Fraction
 ) -> Cut:
-    densities = _Densities(tiles, cluster)
-    finite = densities.finite()
+    densities = _Passes(tiles, lambda tile: tile.densities(cluster))
+    finite = _finite(densities)
     wanted = removable_count(percentage, count, finite)
     if not wanted:
         return Cut(None)
@@ -109,28 +110,16 @@ def _cut_by_steps(
     return Cut(stepped_threshold(*(order_statistic(densities, rank) for rank in ranks)))
 
 
-class _Densities:
-    """The densities of a cluster, one tile after the other, as often as they are asked for."""
+@dataclass(frozen=True, slots=True)
+class _Passes:
+    """What is looked at of each tile, one after the other, as often as it is asked for."""
 
-    def __init__(self, tiles: Sequence[ScoredTile], cluster: int) -> None:
-        self._tiles, self._cluster = tiles, cluster
+    tiles: Sequence[ScoredTile]
+    look: Callable[[ScoredTile], NDArray[np.float64]]
 
     def __iter__(self) -> Iterator[NDArray[np.float64]]:
-        return (tile.densities(self._cluster) for tile in self._tiles)
-
-    def finite(self) -> int:
-        return sum(int(np.count_nonzero(np.isfinite(each))) for each in self)
+        return map(self.look, self.tiles)
 
 
-def _row_of_rank(rows: Callable[[], Iterator[NDArray[np.int64]]], rank: int) -> int:
-    """Return the row number of a rank, from zero, of those that tiles give, in any order."""
-    counts = np.zeros(0, np.int64)
-    for of_tile in rows():
-        found = np.bincount(of_tile >> _ROW_BITS, minlength=len(counts))
-        found[: len(counts)] += counts
-        counts = found
-    totals = np.cumsum(counts)
-    leading = int(np.searchsorted(totals, rank, side="right"))
-    left = rank - int(totals[leading] - counts[leading])
-    agreeing = np.concatenate([found[found >> _ROW_BITS == leading] for found in rows()])
-    return int(np.partition(agreeing, left)[left])
+def _finite(densities: _Passes) -> int:
+    return sum(int(np.count_nonzero(np.isfinite(each))) for each in densities)

@@ -17,18 +17,11 @@ from dynahull.evidence.model import (
     model_file,
 )
 from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Returns, Views
-from dynahull.evidence.summaries import (
-    REACH,
-    ScoredPoints,
-    TimedVoxels,
-    around,
-    summarise_odds,
-)
+from dynahull.evidence.summaries import REACH, ScoredPoints, TimedVoxels, around, summarise_odds
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.borders import Region
-from pipeline.tiles.density import RETURNS, VOXELS, scores_of
-from pipeline.tiles.division import divided
+from pipeline.tiles.density import RETURNS, VOXELS, divided, scores_of
 from pipeline.tiles.ground import heights_of, own_points, summaries
 from pipeline.work.files import make_rows, open_rows
 from pipeline.work.folder import TaskReport

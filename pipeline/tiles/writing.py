@@ -26,35 +26,22 @@ GROWING = "outputs"
 
 @dataclass(frozen=True, slots=True)
 class OutputPart:
-    """A range of one input file's rows, and where its points go.
-
-    Attributes
-    ----------
-    file : int
-        The input file.
-    rows : range
-        Of that file.
-    firsts : tuple of int
-        Points of each output before those of this part.
-    """
+    """A range of one input file's rows, and where its points go."""
 
     file: int
+    """The input file."""
     rows: range
+    """Of that file."""
     firsts: tuple[int, ...]
+    """Points of each output before those of this part."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputPlan:
-    """All outputs that are written in parts.
-
-    Attributes
-    ----------
-    points : dict of int to tuple of int
-        Of each input file, the points of its outputs.
-    parts : tuple of OutputPart
-    """
+    """All outputs that are written in parts."""
 
     points: dict[int, tuple[int, ...]]
+    """Of each input file, the points of its outputs."""
     parts: tuple[OutputPart, ...]
 
     def counts(self, number: int) -> tuple[int, ...]:

@@ -70,14 +70,7 @@ def read_if_whole(path: Path) -> dict[str, Any] | None:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays of fixed-size types.
-
-    Parameters
-    ----------
-    path : Path
-    arrays : mapping of str to array
-        In any shape.
-    """
+    """Write arrays of fixed-size types, in any shape, by their names."""
     described, size = [], 0
     for name, array in arrays.items():
         described.append((name, array.dtype.str, array.shape, size))

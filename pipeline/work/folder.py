@@ -33,52 +33,33 @@ REMOVED_FOLDER = f"{WORK_FOLDER}-removed"
 
 @dataclass(frozen=True, slots=True)
 class TaskReport:
-    """What a finished task has to say: a few numbers, since points travel through files.
-
-    Attributes
-    ----------
-    points : int
-        Points that the task was about.
-    counts : tuple of int
-        What the stage counts.
-    seconds : float
-        Time the task took.
-    """
+    """What a finished task has to say: a few numbers, since points travel through files."""
 
     points: int
+    """Points that the task was about."""
     counts: tuple[int, ...] = ()
+    """What the stage counts."""
     seconds: float = 0.0
+    """Time the task took."""
 
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """What says that a task is finished.
-
-    Attributes
-    ----------
-    report : TaskReport
-    written : tuple of Written
-        All that the task wrote.
-    """
+    """What says that a task is finished."""
 
     report: TaskReport
     written: tuple[Written, ...]
+    """All that the task wrote."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkFolder:
-    """Where the tasks of one run leave their files.
-
-    Attributes
-    ----------
-    root : Path
-        The folder.
-    key : str
-        Hash of the input and of the configuration, as far as it decides results.
-    """
+    """Where the tasks of one run leave their files."""
 
     root: Path
+    """The folder."""
     key: str
+    """Hash of the input and of the configuration, as far as it decides results."""
 
     @property
     def state_path(self) -> Path:

@@ -19,7 +19,7 @@ from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import ARRAYS, WorkFolder
 from pipeline.work.map_state import MapState
-from tiling.chunk_store import ChunkStore
+from tiling.chunks import ChunkStore
 from tiling.collection import MapCollection
 from tiling.kept_points import KeptPoints
 
@@ -45,29 +45,19 @@ ROWS_AT_A_TIME = 500_000
 
 @dataclass(frozen=True)
 class Job:
-    """A run, as its tasks see it.
-
-    Attributes
-    ----------
-    root : Path
-        The work folder.
-    key : str
-        Hash of the input and of the configuration.
-    paths : tuple of Path
-        The map's files.
-    state : MapState
-        Theirs, when the key was made.
-    configuration : Configuration
-    poses : str or None
-        The hash of the scans' poses, when the key was made.
-    """
+    """A run, as its tasks see it."""
 
     root: Path
+    """The work folder."""
     key: str
+    """Hash of the input and of the configuration."""
     paths: tuple[Path, ...]
+    """The map's files."""
     state: MapState
+    """Theirs, when the key was made."""
     configuration: Configuration
     poses: str | None = None
+    """The hash of the scans' poses, when the key was made."""
 
     def save(self) -> None:
         """Write what `open` reads."""

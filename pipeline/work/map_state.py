@@ -62,10 +62,6 @@ def _state_of(status: stat_result) -> FileState:
 def unchanged(paths: Sequence[Path]) -> Iterator[MapState]:
     """Hold a map to the state it has now; blame it for what goes wrong when it changed.
 
-    Yields
-    ------
-    MapState
-
     Raises
     ------
     InputChangedError

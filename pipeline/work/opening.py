@@ -53,7 +53,6 @@ def open_job(
         Theirs, from before the bytes were hashed.
     digest : str
         Of their bytes.
-    configuration : Configuration
     fresh : bool
         Begin anew in any case.
     observer : StageObserver
@@ -94,14 +93,9 @@ def job_key(digest: str, configuration: Configuration) -> str:
 
 
 class _Verification:
-    """One look through a work folder: markers go of tasks whose files are not as they were written.
+    """One look through the work of a job that was saved, and not begun or gone on with yet.
 
-    Parameters
-    ----------
-    job : Job
-        Saved, and not begun or gone on with yet.
-    observer : StageObserver
-        Told of damage.
+    Markers go of tasks whose files are not as they were written, and the damage is told.
     """
 
     def __init__(self, job: Job, observer: StageObserver) -> None:

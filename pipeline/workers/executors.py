@@ -22,18 +22,12 @@ RETRIES = 2
 
 @dataclass(frozen=True, slots=True)
 class TaskFailure:
-    """Why a task did not come to its end.
-
-    Attributes
-    ----------
-    reason : str
-        In one line.
-    short_of_memory : bool
-        Whether it would help to do less at a time.
-    """
+    """Why a task did not come to its end."""
 
     reason: str
+    """In one line."""
     short_of_memory: bool = False
+    """Whether it would help to do less at a time."""
 
 
 Task = Callable[[str, int], TaskReport]
@@ -79,10 +73,7 @@ class InProcess:
 class OnDask:
     """Runs tasks on the workers of a Dask scheduler.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        Of which only `submit` and the number of workers are used.
+    Of the client only `submit` and the number of workers are used.
     """
 
     def __init__(self, client: Any) -> None:

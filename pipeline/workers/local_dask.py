@@ -76,11 +76,7 @@ def can_start_workers() -> bool:
 def local_workers(workers: int, memory: int) -> Iterator[Executor]:
     """Start workers on this machine, one process with one thread each.
 
-    Parameters
-    ----------
-    workers : int
-    memory : int
-        Bytes that a worker may take; beyond them it is stopped and its task tried elsewhere.
+    A worker that takes more bytes of memory is stopped, and its task tried elsewhere.
     """
     with site_settings_aside(), local_client(workers, memory) as client:
         yield OnDask(client)

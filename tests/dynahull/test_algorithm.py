@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 import dynahull
 from dynahull import Label, MethodParameters, clean
 from dynahull.errors import InvalidParametersError, InvalidPointsError
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import nearest_neighbours
 from tests.listener import Listener
 
 NO_GROUND = {"method": "none"}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from dynahull.reference.hull import hull_volume
+from dynahull.reference import hull_volume
 
 CUBE = np.array(list(product([0.0, 1.0], repeat=3)))
 TETRAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from dynahull.errors import InvalidParametersError, InvalidPointsError
 from dynahull.kernels import hull_densities, nearest_rows, squared_reaches
-from dynahull.reference.density import reference_densities
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import nearest_neighbours, reference_densities
 
 Points = NDArray[np.float64]
 

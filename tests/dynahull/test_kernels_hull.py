@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from dynahull.kernels import hull_densities
 from dynahull.kernels.exact import exact_hull_volume
-from dynahull.reference.hull import FLATNESS, hull_volume
+from dynahull.reference import FLATNESS, hull_volume
 from tiling.collection import MapCollection, find_map_files
 
 Points = NDArray[np.float64]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import nearest_neighbours
 
 
 def by_brute_force(points, rows, k):

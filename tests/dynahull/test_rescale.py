@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynahull.rescale import removal_count, removal_percentages
+from dynahull.removal import removal_count, removal_percentages
 
 
 def test_rescales_linearly_between_the_smallest_and_the_largest_cluster():

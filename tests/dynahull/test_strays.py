@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynahull import Label, clean
-from dynahull.rescale import removal_percentages, smallest_counted
+from dynahull.removal import removal_percentages, smallest_counted
 from dynahull.strays import HEAP, OUTSKIRTS_NAMES, Outskirts
 from tests.listener import Listener
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynahull.reference.neighbours import nearest_neighbours
+from dynahull.reference import nearest_neighbours
 from pipeline.tiles.nearest import FreePoints, NearestSoFar
 
 

@@ -15,8 +15,7 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import writing
 from tiling.errors import MapFormatError
-from tiling.formats import Field, open_map
-from tiling.formats.field_values import field_values
+from tiling.formats import Field, field_values, open_map
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 

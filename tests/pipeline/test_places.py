@@ -12,7 +12,6 @@ from scipy import ndimage
 from dynahull.evidence.reasons import NO_REASON, REASONS
 from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import load_configuration
-from pipeline.decision import Decision, Place, PlaceReason
 from pipeline.outputs.run_report import RunReport
 from pipeline.places import (
     ARRAY_NAMES,
@@ -22,7 +21,10 @@ from pipeline.places import (
     NOWHERE,
     SIDE,
     SURROUNDINGS,
+    Decision,
     DecisionSums,
+    Place,
+    PlaceReason,
 )
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run

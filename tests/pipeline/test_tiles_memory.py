@@ -16,7 +16,7 @@ from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
 from pipeline.tiles.borders import Region
-from pipeline.tiles.division import SIDES, divided
+from pipeline.tiles.density import SIDES, divided
 from pipeline.workers.local_dask import local_workers
 
 # Workers cannot import the tests: what these hand them is sent whole.

@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiling.chunk_store import ChunkStore
-from tiling.chunks import read_chunk, read_core_rows, write_chunk
+from tiling.chunks import ChunkStore, read_chunk, read_core_rows, write_chunk
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
 from tiling.grid import Grid
@@ -48,7 +47,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 from tiling.chunks import _read_parquet, _write_parquet
-from tiling.chunk_store import Chunk, ChunkStore
+from tiling.chunks import Chunk, ChunkStore
 from tiling.layout import quadtree
 from tiling.occupancy import ColumnCounter
 
@@ -141,7 +140,7 @@ def test_chunks_hold_core_and_halo_whatever_the_parts(
 
     again = store_of(folder / "again", collection, max_points, halo, kind)
     random = np.random.default_rng(seed)
-    with mock.patch("tiling.pieces.POINTS_AT_A_TIME", most):
+    with mock.patch("tiling.pieces.DEFAULT_BATCH", most):
         fill(again, collection, random.integers(0, size + 1, len(cuts)), backwards=True)
     assert chunk_bytes(again) == chunk_bytes(store)
 

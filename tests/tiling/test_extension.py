@@ -34,8 +34,10 @@ def extend(
     with form.writer(path, reader.description.point_count) as writer:
         for batch in reader.batches(1000):
             rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
-            own = None if classes is None else classes[rows]
-            writer.write(form.extend(batch, [column[rows] for column in values], own))
+            records = form.extend(batch, [column[rows] for column in values])
+            if classes is not None:
+                records = form.with_classes(records, classes[rows])
+            writer.write(records)
     return open_map(path)
 
 

@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tiling.errors import MapFormatError
-from tiling.formats.field_values import field_values
+from tiling.formats import field_values
 
 COUNT = 7
 LABELS = np.array([0, 1, 252, 0, 255, 7, 1], dtype=np.uint16)

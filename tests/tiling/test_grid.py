@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tiling.chunks import grid_of
 from tiling.collection import MapCollection
-from tiling.common_grid import grid_of
 from tiling.errors import GridError
 from tiling.grid import Grid
 from tiling.survey import survey

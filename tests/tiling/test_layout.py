@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.formats import PointBatch
-from tiling.layout import NO_TILE, Layout, quadtree
-from tiling.morton import morton_before, morton_order
+from tiling.layout import NO_TILE, Layout, morton_before, morton_order, quadtree
 from tiling.occupancy import columns_of, count_within
 from tiling.survey import survey_batches
 

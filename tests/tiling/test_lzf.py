@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.errors import MapFormatError
-from tiling.formats.pcd import lzf
+from tiling.formats.pcd import compressed as lzf
 
 PATH = Path("map.pcd")
 

@@ -356,7 +356,7 @@ def test_a_full_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
     path = example_file(tmp_path, 50, "binary_compressed")
     records = next(PcdReader(path).batches(50)).records
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "spool"))
-    monkeypatch.setattr("tiling.formats.pcd.column_spool.TemporaryFile", lambda **_: full_disk())
+    monkeypatch.setattr("tiling.formats.pcd.compressed.TemporaryFile", lambda **_: full_disk())
     with pytest.raises(OSError, match=r"No space left on device: '.*spool \(temporary files\)'"):
         read_all(path)
     with (

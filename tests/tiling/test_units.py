@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiling.formats import open_map
-from tiling.formats.las.crs import units_in_geo_keys
-from tiling.formats.las.wkt import units_in_wkt
+from tiling.formats.las.crs import units_in_geo_keys, units_in_wkt
 from tiling.formats.units import DEGREE, FOOT, METRE, US_SURVEY_FOOT, length
 
 GEOGCS = 'GEOGCS["a",DATUM["b",SPHEROID["c",6378137,298.25]],UNIT["degree",0.0174532925199433]]'

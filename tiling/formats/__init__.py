@@ -4,8 +4,12 @@
 """
 
 import os
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError, UnknownFormatError
 from tiling.formats.base import MapReader, MapWriter
@@ -19,6 +23,7 @@ __all__ = [
     "MapReader",
     "MapWriter",
     "PointBatch",
+    "field_values",
     "open_map",
 ]
 
@@ -34,7 +39,7 @@ _READERS = {
     ".e57": ("tiling.formats.e57.reader", "E57Reader"),
     **dict.fromkeys((".xyz", ".pts", ".asc"), ("tiling.formats.text", "TextReader")),
     **dict.fromkeys((".txt", ".csv"), ("tiling.formats.text", "TextReader")),
-    ".bin": ("tiling.formats.numpy.raw", "RawReader"),
+    ".bin": ("tiling.formats.numpy.npy", "RawReader"),
 }
 
 MAP_SUFFIXES = tuple(_READERS)
@@ -83,3 +88,36 @@ def open_map(path: Path, threads: int = 1) -> MapReader:
         raise MapFormatError(path, "a file that can be read", error.strerror or "none") from error
     reader.threads = threads
     return reader
+
+
+def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
+    """Yield the values of one field, in the order of the points, as arrays that follow each other.
+
+    Parameters
+    ----------
+    name : str
+        A field with one number a point, as the file names it.
+
+    Yields
+    ------
+    (n,) array
+        Of numbers or booleans.
+
+    Raises
+    ------
+    MapFormatError
+        When the map has no such field, when it is not of numbers, or when the map's fields cannot
+        be read apart.
+    """
+    reader = open_map(path)
+    fields = {field.name: field for field in reader.description.fields}
+    if name not in fields:
+        found = f"only {', '.join(fields) or 'none'}"
+        raise MapFormatError(path, f"a field {name!r}", found)
+    if fields[name].count != 1:
+        raise MapFormatError(path, f"one {name} a point", f"{fields[name].count}")
+    for batch in reader.batches():
+        values = reader.values(batch.records, name)
+        if values.dtype.kind not in "biuf":
+            raise MapFormatError(path, f"numbers in the field {name}", str(values.dtype))
+        yield values

@@ -47,9 +47,7 @@ class MapWriter(ABC):
         """Append points, as the reader's batches hold them."""
         self.written += len(records)
         if self.written > self.point_count:
-            raise PointCountError(
-                f"{self.path}: opened for {self.point_count} points, given {self.written}"
-            )
+            raise self._wrong_count()
         if len(records):
             self._append(records)
 
@@ -67,10 +65,13 @@ class MapWriter(ABC):
             return
         if self.written != self.point_count:
             self._abandon()
-            raise PointCountError(
-                f"{self.path}: opened for {self.point_count} points, given {self.written}"
-            )
+            raise self._wrong_count()
         self._finish()
+
+    def _wrong_count(self) -> PointCountError:
+        return PointCountError(
+            f"{self.path}: opened for {self.point_count} points, given {self.written}"
+        )
 
     @abstractmethod
     def _append(self, records: Any) -> None:
@@ -86,12 +87,7 @@ class MapWriter(ABC):
 
 
 class SinglePartWriter(MapWriter):
-    """Writes a map in one part.
-
-    Parameters
-    ----------
-    parts : PartWriter
-    """
+    """Writes a map in one part."""
 
     def __init__(self, parts: PartWriter) -> None:
         super().__init__(parts.path, parts.point_count)
@@ -115,13 +111,6 @@ class MapReader(ABC):
 
     Making one reads and checks the header only; it holds no file open.
 
-    Attributes
-    ----------
-    description : MapDescription
-    threads : int
-        Cores that reading, and writing by `writer`, may use at once where the format can (LAZ).
-        What is read and written does not depend on it.
-
     Raises
     ------
     MapFormatError
@@ -130,6 +119,8 @@ class MapReader(ABC):
 
     description: MapDescription
     threads: int = 1
+    """Cores that reading, and writing by `writer`, may use at once where the format can (LAZ). What
+    is read and written does not depend on it."""
 
     @property
     @abstractmethod
@@ -303,12 +294,7 @@ class ExtendedFormat(ABC):
         return self._model.part_writer(path, point_count)
 
     @abstractmethod
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> Any:
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
         """Return the records of a batch with further values, for the writers.
 
         Parameters
@@ -317,22 +303,16 @@ class ExtendedFormat(ABC):
             From the reader of the map that is extended.
         values : sequence of (n,) arrays
             One for each of `fields`.
-        classification : (n,) uint8 array, optional
-            Classes that take the place of the points' own, where the format has them; elsewhere
-            they are not looked at.
         """
+
+    def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
+        """Return extended records with these classes, (n,), where the format has any."""
+        del classification
+        return records
 
 
 class TextWriter(MapWriter):
-    """Writes rows as they stood in the file they come from.
-
-    Parameters
-    ----------
-    path, point_count
-        As for `MapWriter`.
-    head : bytes
-        What stands before them.
-    """
+    """Writes rows as they stood in the file they come from, after what stands before them there."""
 
     def __init__(self, path: Path, point_count: int, head: bytes) -> None:
         super().__init__(path, point_count)

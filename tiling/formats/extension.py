@@ -18,28 +18,14 @@ if TYPE_CHECKING:
 
 
 class ExtendedRecords(ExtendedFormat):
-    """Records that are packed bytes: the values follow, packed, in the file's byte order.
-
-    Parameters
-    ----------
-    model, fields
-        As for `ExtendedFormat`.
-    byte_order : str
-        `"<"` or `">"`.
-    """
+    """Records that are packed bytes: the values follow, packed, in the file's byte order."""
 
     def __init__(self, model: MapReader, fields: Sequence[Field], byte_order: str = "<") -> None:
         super().__init__(model, fields)
         self._byte_order = byte_order
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> NDArray[Any]:
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """Return the records with the values; see `ExtendedFormat.extend`."""
-        del classification
         tail = packed(self.fields, values, self._byte_order)
         if batch.records.dtype == object:  # records of no fixed size, as bytes
             longer = np.empty(len(tail), dtype=object)
@@ -52,28 +38,14 @@ class ExtendedRecords(ExtendedFormat):
 
 
 class ExtendedText(ExtendedFormat):
-    """Rows of text: the values follow on the line, in as many digits as tell them from others.
-
-    Parameters
-    ----------
-    model, fields
-        As for `ExtendedFormat`.
-    separator : bytes
-        Between two values.
-    """
+    """Rows of text: the values follow on the line, in as many digits as tell them from others."""
 
     def __init__(self, model: MapReader, fields: Sequence[Field], separator: bytes = b" ") -> None:
         super().__init__(model, fields)
         self._separator = separator
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> "TextRows":
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> "TextRows":
         """Return the rows with the values; see `ExtendedFormat.extend`."""
-        del classification
         columns = [
             column.astype(field.dtype).tolist()
             for field, column in zip(self.fields, values, strict=True)
@@ -88,12 +60,7 @@ class ExtendedText(ExtendedFormat):
 def packed(
     fields: Sequence[Field], values: Sequence[NDArray[Any]], byte_order: str = "<"
 ) -> NDArray[Any]:
-    """Pack values of some fields into records of their own.
-
-    Returns
-    -------
-    (n,) structured array
-    """
+    """Pack values of some fields into records of their own, (n,)."""
     dtype = np.dtype([(field.name, byte_order + np.dtype(field.dtype).str[1:]) for field in fields])
     records = np.empty(len(values[0]), dtype=dtype)
     for field, column in zip(fields, values, strict=True):
@@ -102,17 +69,7 @@ def packed(
 
 
 def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
-    """Put the bytes of each of some records before those of the record beside it.
-
-    Parameters
-    ----------
-    head, tail : (n,) arrays
-        Of any fixed-size types.
-
-    Returns
-    -------
-    (n,) void array
-    """
+    """Put the bytes of each of some records before those of the record beside it, (n,)."""
     rows = np.empty((len(head), head.dtype.itemsize + tail.dtype.itemsize), dtype=np.uint8)
     rows[:, : head.dtype.itemsize] = bytes_of(head)
     rows[:, head.dtype.itemsize :] = bytes_of(tail)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
-from tiling.formats.parquet_file import open_parquet
-from tiling.formats.parquet_points import find_points, geometry_column
+from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
@@ -47,32 +46,22 @@ class TableBatch(PointBatch):
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the rows of a file lie in it.
-
-    Attributes
-    ----------
-    codecs : dict of str to str
-        Compression of each column, by its path, as pyarrow names it.
-    group_rows : int
-        Rows of the largest row group; 0 where there are none.
-    bytes_per_row : int
-        Bytes that a row takes in memory, on average; values that are stored once and referred to
-        count once.
-    has_int96 : bool
-        Whether there are time stamps in the form of 96 bits that Spark and Impala used to write.
-    has_arrow_schema : bool
-        Whether Arrow's own schema is kept beside that of Parquet.
-    has_compliant_lists : bool
-        Whether what is in a list is called `element`, as the format demands and as older
-        writers, which said `item`, did not.
-    """
+    """How the rows of a file lie in it."""
 
     codecs: dict[str, str]
+    """Compression of each column, by its path, as pyarrow names it."""
     group_rows: int
+    """Rows of the largest row group; 0 where there are none."""
     bytes_per_row: int
+    """Bytes that a row takes in memory, on average; values that are stored once and referred to
+    count once."""
     has_int96: bool
+    """Whether there are time stamps in the form of 96 bits that Spark and Impala used to write."""
     has_arrow_schema: bool
+    """Whether Arrow's own schema is kept beside that of Parquet."""
     has_compliant_lists: bool
+    """Whether what is in a list is called `element`, as the format demands and as older writers,
+    which said `item`, did not."""
 
     @classmethod
     def of(cls, file: pq.ParquetFile, path: Path) -> "_Layout":
@@ -125,11 +114,6 @@ class ParquetReader(MapReader):
     All columns of any type, the schema with its metadata (pandas, GeoParquet), the compression
     of each column and the size of the row groups are those of the output too. A null coordinate
     counts as NaN and stays null.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
 
     Raises
     ------
@@ -259,14 +243,7 @@ class ParquetReader(MapReader):
 class _ExtendedTable(ExtendedFormat):
     """Tables of points with further columns."""
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> pa.Table:
-        """Return the rows with the values; see `ExtendedFormat.extend`."""
-        del classification
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> pa.Table:
         table = batch.records
         for field, column in zip(self.fields, values, strict=True):
             table = table.append_column(field.name, pa.array(column.astype(field.dtype)))
@@ -314,7 +291,6 @@ class _ParquetWriter(MapWriter):
             self._writer.close()
 
     def _write_groups(self, rows: int) -> None:
-        """Write that many of the rows gathered."""
         if not rows:
             return
         table = pa.concat_tables(self._gathered).unify_dictionaries()

@@ -26,17 +26,12 @@ class PartSummary:
     """Which points of an output a part holds, and what the end of the writing must know of them.
 
     Small, and made to be sent from one process to another.
-
-    Attributes
-    ----------
-    first : int
-        Row number, in the output, of its first point.
-    count : int
-        Points in it.
     """
 
     first: int
+    """Row number, in the output, of its first point."""
     count: int = 0
+    """Points in it."""
 
     def add(self, records: Any) -> None:
         """Take at least one more point into account."""
@@ -66,13 +61,6 @@ class PartWriter(ABC):
     One process calls `create`; then each writes its parts; and when all are written, one process
     calls `finish` with the summaries of all. The object remembers nothing of these calls: each may
     be made on another that was made alike.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    point_count : int
-        Points it will hold.
     """
 
     def __init__(self, path: Path, point_count: int) -> None:
@@ -137,15 +125,9 @@ class PartWriter(ABC):
 
 
 class MapPart:
-    """Some consecutive points of an output, written as a stream.
+    """Some consecutive points of an output, from its row `first` on, written as a stream.
 
     A context manager that closes the file. `summary` is whole when all points are written.
-
-    Parameters
-    ----------
-    writer : PartWriter
-    first : int
-        Row number, in the output, of the first point.
     """
 
     def __init__(self, writer: PartWriter, first: int) -> None:

@@ -42,24 +42,16 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class TextHead:
-    """What stands before the first point.
-
-    Attributes
-    ----------
-    lines : tuple of bytes
-    count_line, names_line : int or None
-        Which of them has the number of points, and which the names of the values.
-    names : tuple of str
-        One for each value; those of coordinates are x, y and z where the file has no names.
-    layout : RowLayout
-        Of the rows.
-    """
+    """What stands before the first point."""
 
     lines: tuple[bytes, ...]
     count_line: int | None
     names_line: int | None
+    """Which of them has the number of points, and which the names of the values."""
     names: tuple[str, ...]
+    """One for each value; those of coordinates are x, y and z where the file has no names."""
     layout: RowLayout
+    """Of the rows."""
 
     @property
     def size(self) -> int:
@@ -96,10 +88,6 @@ class TextReader(MapReader):
     """Reads a text file of points.
 
     Making one counts the rows, for which the whole file is read once.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------

@@ -41,19 +41,13 @@ Positions = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class TextRows:
-    """Rows of a text file, each with its line ending.
-
-    Attributes
-    ----------
-    text : (m,) uint8 array
-        The block of the file that holds the rows.
-    starts, stops : (n,) int64 arrays
-        Where in `text` each row begins and ends.
-    """
+    """Rows of a text file, each with its line ending."""
 
     text: Bytes
+    """(m,): the block of the file that holds the rows."""
     starts: Positions
     stops: Positions
+    """(n,): where in `text` each row begins and ends."""
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -92,25 +86,17 @@ class TextRows:
 
 @dataclass(frozen=True, slots=True)
 class RowLayout:
-    """What a row of text holds.
-
-    Attributes
-    ----------
-    values : int
-        Values in a row.
-    coordinates : tuple of int
-        Which of them, from 0, are x, y and z.
-    separator : bytes
-        What is between values: one byte, or nothing for blanks, as many as there are.
-    free : bool
-        Whether other values may be any text, and lines that begin as `COMMENTS` do are passed over;
-        else all values are numbers.
-    """
+    """What a row of text holds."""
 
     values: int
+    """Values in a row."""
     coordinates: tuple[int, ...]
+    """Which of them, from 0, are x, y and z."""
     separator: bytes = b""
+    """What is between values: one byte, or nothing for blanks, as many as there are."""
     free: bool = False
+    """Whether other values may be any text, and lines that begin as `COMMENTS` do are passed over;
+    else all values are numbers."""
 
     @property
     def wanted(self) -> NDArray[np.bool_]:
@@ -139,8 +125,6 @@ def read_rows(
 
     Parameters
     ----------
-    stream : binary file
-    layout : RowLayout
     row_count : int or None
         Rows that there must be; None if that is not known.
     max_rows : int
@@ -216,7 +200,6 @@ def parse_rows(
         Where in `text` to begin.
     limit : int
         Rows to take at most.
-    layout : RowLayout
     path : Path
         The file, for messages.
     line : int

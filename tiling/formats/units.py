@@ -25,18 +25,12 @@ _LONGEST_NAME = 40
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of length, or of angle.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    metres : float or None
-        Metres in one; None for an angle.
-    """
+    """A unit of length, or of angle."""
 
     name: str
+    """For people."""
     metres: float | None
+    """Metres in one; None for an angle."""
 
     @property
     def symbol(self) -> str:
@@ -49,18 +43,12 @@ DEGREE = Unit("degree", None)
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units of a map.
-
-    Attributes
-    ----------
-    horizontal : Unit or None
-        Of x and y; None where the file does not tell.
-    vertical : Unit or None
-        Of z; None where the file does not tell: as x and y.
-    """
+    """The units of a map."""
 
     horizontal: Unit | None
+    """Of x and y; None where the file does not tell."""
     vertical: Unit | None = None
+    """Of z; None where the file does not tell: as x and y."""
 
     def __str__(self) -> str:
         """Return them in words."""

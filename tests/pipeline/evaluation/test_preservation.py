@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dynahull.progress import SilentObserver
-from pipeline.evaluation.preservation import compare_voxels, voxel_means
+from pipeline.evaluation.scoring import compare_voxels, voxel_means
 from tests.pipeline.evaluation.clouds import cut, source_of
 
 

@@ -51,23 +51,16 @@ _LARGEST_CRS = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class VariableLengthRecord:
-    """One VLR or EVLR.
-
-    Attributes
-    ----------
-    user_id, record_id : str, int
-        Who registered it, and what it is.
-    start, size : int
-        Bytes of the whole record, its header included.
-    data : bytes
-        The record's own data; of an EVLR, only where it is of the coordinate reference system.
-    """
+    """One VLR or EVLR."""
 
     user_id: str
     record_id: int
+    """Who registered it, and what it is."""
     start: int
     size: int
+    """Bytes of the whole record, its header included."""
     data: bytes
+    """The record's own data; of an EVLR, only where it is of the coordinate reference system."""
 
     @property
     def end(self) -> int:
@@ -81,53 +74,36 @@ class VariableLengthRecord:
 
 @dataclass(frozen=True, slots=True)
 class LasHeader:
-    """What precedes the points, as bytes, and what it says.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    file_size : int
-        Its bytes.
-    block : bytes
-        Everything before the points: header, VLRs, and whatever else is there.
-    minor_version : int
-        x of LAS 1.x, of the latest whose fields the header has room for.
-    point_format : int
-        0 to 10.
-    compressed : bool
-        Whether the points are LAZ.
-    record_length : int
-        Bytes of a point, extra bytes included.
-    point_count : int
-        Points in the file.
-    scales, offsets : tuple of float
-        Of x, y and z.
-    vlrs, evlrs : tuple of VariableLengthRecord
-        Before and after the points.
-    cut_off : int or None
-        Where an EVLR begins that the file ends in.
-    waveforms : (int, int) or None
-        First byte, and byte after the last, of the waveform packets inside the file.
-    notes : tuple of str
-        What the header says of itself that is not so, and does no harm.
-    """
+    """What precedes the points, as bytes, and what it says."""
 
     path: Path
+    """The file."""
     file_size: int
+    """Its bytes."""
     block: bytes
+    """Everything before the points: header, VLRs, and whatever else is there."""
     minor_version: int
+    """x of LAS 1.x, of the latest whose fields the header has room for."""
     point_format: int
+    """0 to 10."""
     compressed: bool
+    """Whether the points are LAZ."""
     record_length: int
+    """Bytes of a point, extra bytes included."""
     point_count: int
+    """Points in the file."""
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
+    """Of x, y and z."""
     vlrs: tuple[VariableLengthRecord, ...]
     evlrs: tuple[VariableLengthRecord, ...]
+    """Before and after the points."""
     waveforms: tuple[int, int] | None
+    """First byte, and byte after the last, of the waveform packets inside the file."""
     cut_off: int | None = None
+    """Where an EVLR begins that the file ends in."""
     notes: tuple[str, ...] = ()
+    """What the header says of itself that is not so, and does no harm."""
 
     @property
     def points_offset(self) -> int:
@@ -152,15 +128,6 @@ class LasHeader:
 
 def read_header(path: Path) -> LasHeader:
     """Read and check everything of a LAS or LAZ file but its points.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    LasHeader
 
     Raises
     ------

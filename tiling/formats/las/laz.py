@@ -58,20 +58,10 @@ def _owner_of_pool() -> int:
 
 
 class LazPoints:
-    """Decompresses the points of a LAZ file from a row on, in order.
+    """Decompresses some rows of the points of a LAZ file, in order.
 
-    Parameters
-    ----------
-    file : BinaryIO
-        The file, open for as long as this object is used.
-    header : LasHeader
-        Its header.
-    compression : Compression
-        Its laszip VLR.
-    rows : range
-        The points that will be read.
-    threads : int
-        Chunks to decompress at a time, see `usable_threads`.
+    The file stays open for as long as this object is used. As many chunks are decompressed at a
+    time as there are threads, see `usable_threads`.
 
     Raises
     ------
@@ -166,7 +156,6 @@ class _Stream:
             self._refuse(error)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Decompress the next points into (n, record_length)."""
         try:
             self._decompressor.decompress_many(records.reshape(-1))
         except BaseException as error:
@@ -214,7 +203,6 @@ class _Decompressed:
             _refuse_points(header, chunks[0].first_row, error)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Copy the next points into (n, record_length)."""
         records[:] = self._points[: len(records)]
         self._points = self._points[len(records) :]
 
@@ -292,11 +280,6 @@ class _Window(io.RawIOBase):
 
 class LaszipPoints:
     """Decompresses with LASzip itself what lazrs cannot, see `Compression.needs_laszip`.
-
-    Parameters
-    ----------
-    file, header, compression, rows
-        As for `LazPoints`.
 
     Raises
     ------

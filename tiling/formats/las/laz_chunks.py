@@ -25,24 +25,17 @@ _LARGEST_CHUNK_ENTRY = 16
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Compressed bytes that can be read without those before them.
-
-    Attributes
-    ----------
-    start, end : int
-        Bytes of the file.
-    first_row, points : int
-        Row number of the first point, and the number of points.
-    chunk_size : int
-        Points that LASzip puts in a chunk: fewer than `points` where it is not known where the
-        chunks after the first begin, which then are read as one.
-    """
+    """Compressed bytes that can be read without those before them."""
 
     start: int
     end: int
+    """Bytes of the file."""
     first_row: int
     points: int
+    """Row number of the first point, and the number of points."""
     chunk_size: int
+    """Points that LASzip puts in a chunk: fewer than `points` where it is not known where the
+    chunks after the first begin, which then are read as one."""
 
 
 def find_chunks(

@@ -12,8 +12,7 @@ from tiling.formats.base import MapWriter
 from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
 from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
 from tiling.formats.las.laz_header import Compression, own_compression
-from tiling.formats.las.summary import LasSummary
-from tiling.formats.las.surroundings import LasSurroundings
+from tiling.formats.las.surroundings import LasSummary, LasSurroundings
 from tiling.output_file import create_file
 
 # It has no types that a checker can use.
@@ -30,18 +29,8 @@ _LAYERED_WAVE_PACKETS = (9, 10)
 class LazWriter(MapWriter):
     """Writes raw point records, compressed, under the header of the file they come from.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    point_count : int
-        Points it will hold.
-    header : LasHeader
-        Of the file that the points come from; it must still be there.
-    compression : Compression
-        How that file's points are compressed.
-    threads : int
-        That may compress at a time, see `usable_threads`. The file does not depend on it.
+    That file must still be there, and its points are compressed in the same way. The threads, see
+    `usable_threads`, change nothing about what is written.
     """
 
     def __init__(
@@ -132,7 +121,6 @@ class _ParallelChunks(_Chunks):
         self._count = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:
-        """Append (n, record_length) points."""
         done = 0
         while done < len(records):
             count = min(len(self._gathered) - self._count, len(records) - done)
@@ -143,7 +131,6 @@ class _ParallelChunks(_Chunks):
                 self._write_gathered()
 
     def finish(self) -> None:
-        """Write what belongs to the points: the last chunk, and the chunk table."""
         if self._count:
             self._write_gathered()
         super().finish()
@@ -166,7 +153,6 @@ class _ChannelChunks(_Chunks):
         self._channel = 0
 
     def write(self, records: NDArray[np.uint8]) -> None:
-        """Append (n, record_length) points."""
         channels = (records[:, 15] >> 4) & 3
         starts = [0, *(np.flatnonzero(np.diff(channels)) + 1).tolist()]
         for start, end in zip(starts, [*starts[1:], len(records)], strict=True):

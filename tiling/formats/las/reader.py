@@ -19,8 +19,13 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
 from tiling.formats.las.crs import crs_name, crs_units
-from tiling.formats.las.extension import LAST_SHORT_CLASS, ExtendedLas, extended_header
-from tiling.formats.las.fields import extra_fields, standard_fields
+from tiling.formats.las.fields import (
+    LAST_SHORT_CLASS,
+    ExtendedLas,
+    extended_header,
+    extra_fields,
+    standard_fields,
+)
 from tiling.formats.las.header import (
     AT_MINOR_VERSION,
     AT_WAVEFORMS,
@@ -41,11 +46,6 @@ from tiling.grid import Grid, integers_in_records
 
 class LasReader(MapReader):
     """Reads a LAS, LAZ or COPC file; COPC points come in the file's order.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
 
     Raises
     ------
@@ -182,7 +182,6 @@ class _RawPoints:
         file.seek(header.points_offset + first_row * header.record_length)
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Read the next points into (n, record_length)."""
         found = self._file.readinto(records.reshape(-1).data)  # type: ignore[attr-defined]
         if found != records.size:
             raise MapFormatError(

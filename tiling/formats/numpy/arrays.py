@@ -33,26 +33,17 @@ _COORDINATE_KINDS = "iuf"
 
 @dataclass(frozen=True, slots=True)
 class ArrayHeader:
-    """What stands before the values of an array.
-
-    Attributes
-    ----------
-    dtype : numpy dtype
-    fortran_order : bool
-        Whether the first index runs fastest.
-    shape : tuple of int
-        The first is the number of rows.
-    version : int
-        1, 2 or 3.
-    size : int
-        Bytes of the header itself.
-    """
+    """What stands before the values of an array."""
 
     dtype: np.dtype
     fortran_order: bool
+    """Whether the first index runs fastest."""
     shape: tuple[int, ...]
+    """The first is the number of rows."""
     version: int = 1
+    """1, 2 or 3."""
     size: int = 0
+    """Bytes of the header itself."""
 
     @property
     def row_count(self) -> int:
@@ -160,17 +151,7 @@ class ArrayHeader:
         return start + len(text).to_bytes(length_size, "little") + text
 
     def coordinates(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Take the coordinates out of rows as `RowReader` gives them.
-
-        Parameters
-        ----------
-        rows : (n,) array of `row_bytes` wide void
-            Rows of an array that `is_coordinates`.
-
-        Returns
-        -------
-        (n, 3) float64 array
-        """
+        """Take the coordinates, (n, 3), out of rows as `RowReader` gives them."""
         xyz = np.empty((len(rows), 3))
         with np.errstate(all="ignore"):
             if self.dtype.names:
@@ -191,19 +172,10 @@ def organised_note(header: ArrayHeader) -> str:
 def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> ArrayHeader:
     """Read the header that `stream` begins with, and leave it before the values.
 
-    Parameters
-    ----------
-    stream : binary file
-        At its first byte.
-    path : Path
-        The file, for messages.
-    name : str
-        What to call the array in messages.
-
     Raises
     ------
     MapFormatError
-        When it is not the header of an array.
+        When it is not the header of an array; in the message it is called `name`.
     """
     magic = npy.magic(1, 0)[:-2]
     start = stream.read(len(magic) + 2)
@@ -261,11 +233,6 @@ class RowReader:
     ----------
     streams : sequence of binary files
         One for each of `header.column_count`; the same one many times where it can jump about.
-    header : ArrayHeader
-    path : Path
-        The file, for messages.
-    name : str
-        What to call the array in messages.
     first_row : int
         Where to begin.
     """
@@ -334,12 +301,8 @@ def put_rows(
     ----------
     file : binary file
         Able to seek.
-    header : ArrayHeader
-        Of the array to be like.
-    row_count : int
-        Rows that the array will have.
-    first : int
-        Place of the first of the rows.
+    row_count, first : int
+        Rows that the array will have, and the place of the first of these.
     rows : (n,) array
         As `RowReader.read` gives them.
     """

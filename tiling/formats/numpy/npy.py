@@ -1,13 +1,13 @@
-"""NumPy maps in one .npy file: an (N, 3 or more) array, or one with fields x, y and z.
+"""NumPy maps in one file: an (N, 3 or more) array, or one with fields x, y and z, or bare records.
 
 Organised ones, (H, W, 3 or more) or (H, W), are read row by row.
 """
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,8 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch
-
-_COLUMNS = ("x", "y", "z")
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
+from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 
 class NpyReader(MapReader):
@@ -34,11 +33,6 @@ class NpyReader(MapReader):
 
     Type, byte order, the order of the elements, and further columns or fields are kept. Arrays of
     Python objects are refused: nothing is ever unpickled.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
 
     Raises
     ------
@@ -154,7 +148,6 @@ class _NpyParts(PartWriter):
         self._header = header
 
     def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
-        """Write rows to their places."""
         put_rows(file, self._header, self.point_count, first, records)
 
     def _write_surroundings(self, file: BinaryIO) -> None:
@@ -166,5 +159,59 @@ def array_fields(header: ArrayHeader) -> tuple[Field, ...]:
     """Describe the fields of an array of points, whose columns have no names of their own."""
     if header.dtype.names:
         return header.fields("")
-    names = [*_COLUMNS, *(f"column {n}" for n in range(4, header.row_elements + 1))]
+    names = [*COORDINATES, *(f"column {n}" for n in range(4, header.row_elements + 1))]
     return tuple(Field(name, header.dtype.name) for name in names)
+
+
+_NAMES = ("x", "y", "z", "intensity", "ring")
+_NUSCENES = ".pcd.bin"
+_UNKNOWN = "a file that begins"
+
+
+@dataclass(frozen=True, slots=True)
+class _NoHeader(ArrayHeader):
+    """An array that starts with its first value."""
+
+    def encode(self, row_count: int) -> bytes:
+        del row_count
+        return b""
+
+
+class RawReader(NpyReader):
+    """Reads bare records of float32, as KITTI and nuScenes store scans: the size tells the points.
+
+    `.bin` has x, y, z and intensity (16 bytes), `.pcd.bin` the ring as well (20 bytes).
+
+    Raises
+    ------
+    MapFormatError
+        When the size is not that of whole records, or the file is known to be another thing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        is_nuscenes = path.name.lower().endswith(_NUSCENES)
+        names = _NAMES if is_nuscenes else _NAMES[:4]
+        size, record = path.stat().st_size, 4 * len(names)
+        with path.open("rb") as file:
+            start = file.read(SIGNATURE_LENGTH)
+        kind = kind_of(start)
+        if size and not kind.startswith(_UNKNOWN) and start.strip(b"\0"):
+            raise MapFormatError(path, f"records of float32 {', '.join(names)}", kind, at="byte 0")
+        if size % record:
+            expected = f"records of {record} bytes, float32 {', '.join(names)}"
+            raise MapFormatError(path, expected, f"{size} bytes, {size % record} too many")
+        self._header = _NoHeader(np.dtype("<f4"), False, (size // record, len(names)))
+        self.description = MapDescription(
+            path=path,
+            format=f"bare float32 records, as {'nuScenes' if is_nuscenes else 'KITTI'} has them",
+            suffix=_NUSCENES if is_nuscenes else ".bin",
+            point_count=size // record,
+            fields=tuple(Field(name, "float32") for name in names),
+            notes=() if size else ("The file has no points.",),
+        )
+
+    def extended(self, fields: Sequence[Field]) -> NoReturn:
+        """Refuse: without a header nobody would find further fields."""
+        expected = "a format with names for further fields; --labels writes them beside the map"
+        raise MapFormatError(self._path, expected, self.description.format)

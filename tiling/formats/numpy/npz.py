@@ -55,11 +55,6 @@ class NpzReader(MapReader):
     other array of N rows belongs to the points and is filtered along; any other entry, and whatever
     holds Python objects, is copied as it is.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError
@@ -198,14 +193,7 @@ class NpzReader(MapReader):
 class _ExtendedArrays(ExtendedFormat):
     """Archives of points with further arrays."""
 
-    def extend(
-        self,
-        batch: PointBatch,
-        values: Sequence[NDArray[Any]],
-        classification: NDArray[np.uint8] | None = None,
-    ) -> NDArray[Any]:
-        """Return the records with the values; see `ExtendedFormat.extend`."""
-        del classification
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         head = batch.records.dtype
         tail = packed(self.fields, values)
         count = len(head.names)

@@ -70,30 +70,20 @@ class PcdField:
 
 @dataclass(frozen=True, slots=True)
 class PcdHeader:
-    """What the header says.
-
-    Attributes
-    ----------
-    lines : tuple of bytes
-        The header as it stands in the file, each line with its ending.
-    fields : tuple of PcdField
-    coordinates : tuple of three PcdField
-        x, y and z.
-    width, height : int
-        Points in a row, and rows; a height above 1 makes the cloud an organised one.
-    encoding : str
-        `"ascii"`, `"binary"` or `"binary_compressed"`.
-    viewpoint : tuple of 7 float or None
-        Where the sensor was, and its quaternion, w first.
-    """
+    """What the header says."""
 
     lines: tuple[bytes, ...]
+    """The header as it stands in the file, each line with its ending."""
     fields: tuple[PcdField, ...]
     coordinates: tuple[PcdField, PcdField, PcdField]
+    """x, y and z."""
     width: int
     height: int
+    """Points in a row, and rows; a height above 1 makes the cloud an organised one."""
     encoding: str
+    """`"ascii"`, `"binary"` or `"binary_compressed"`."""
     viewpoint: tuple[float, ...] | None = None
+    """Where the sensor was, and its quaternion, w first."""
 
     @property
     def point_count(self) -> int:
@@ -134,12 +124,12 @@ class PcdHeader:
         )
         return replace(self, lines=lines, viewpoint=None)
 
-    def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PcdHeader":
+    def extended(self, further: Sequence[Field]) -> "PcdHeader":
         """Return the header of points with further fields of one value each."""
         fields, offset = list(self.fields), self.record_size
-        for name, dtype in zip(names, dtypes, strict=True):
-            size = np.dtype(dtype).itemsize
-            fields.append(PcdField(name, dtype, size, 1, offset))
+        for each in further:
+            size = np.dtype(each.dtype).itemsize
+            fields.append(PcdField(each.name, each.dtype, size, 1, offset))
             offset += size
         kinds = {dtype: kind for (kind, _), dtype in _TYPES.items()}
         # Old files lack some of these lines; with fields of other types they need them.
@@ -297,7 +287,6 @@ def _extent(entries: dict[str, _Entry], path: Path) -> tuple[int, int]:
 
 
 def _viewpoint(entries: dict[str, _Entry], path: Path) -> tuple[float, ...] | None:
-    """Return the seven numbers."""
     if "VIEWPOINT" not in entries:
         return None
     values = entries["VIEWPOINT"].values

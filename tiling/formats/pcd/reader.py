@@ -23,18 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import (
-    ExtendedFormat,
-    MapReader,
-    MapWriter,
-    SinglePartWriter,
-    TextWriter,
-)
+from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter, TextWriter
 from tiling.formats.extension import ExtendedRecords, ExtendedText
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, put_records
-from tiling.formats.pcd import lzf
-from tiling.formats.pcd.column_spool import ColumnSpool
+from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
@@ -49,10 +42,6 @@ _PCL_TYPES = {"label": "uint32"}
 
 class PcdReader(MapReader):
     """Reads a PCD file.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------
@@ -125,9 +114,7 @@ class PcdReader(MapReader):
         """Return what writes further fields; see `MapReader.extended`."""
         fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
         model = copy(self)
-        model._header = self._header.extended(
-            [field.name for field in fields], [field.dtype for field in fields]
-        )
+        model._header = self._header.extended(fields)
         model._stored = (*self._stored, *model._header.fields[-len(fields) :])
         if self._header.encoding == "ascii":
             return ExtendedText(model, fields)
@@ -190,7 +177,7 @@ class PcdReader(MapReader):
         else:
             expected = f"{header.point_count * header.record_size} uncompressed bytes"
             raise MapFormatError(self._path, expected, str(column_size), at)
-        if column_size > packed_size * lzf.EXPANSION:
+        if column_size > packed_size * EXPANSION:
             expected = f"compressed data for {column_size} bytes"
             raise MapFormatError(self._path, expected, f"only {packed_size} bytes", at)
         return packed_size, fields
@@ -233,7 +220,7 @@ class PcdReader(MapReader):
             return
         with self._path.open("rb") as stream, ColumnSpool(widths, count) as spool:
             stream.seek(self._header.data_offset + _SIZES.size)
-            for block in lzf.decompress(stream, self._packed_size, count * sum(widths), self._path):
+            for block in decompress(stream, self._packed_size, count * sum(widths), self._path):
                 spool.append(block)
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
@@ -298,13 +285,7 @@ class PcdReader(MapReader):
 
 
 class PcdBinaryParts(PartWriter):
-    """Writes records of one size, each to its place.
-
-    Parameters
-    ----------
-    path, point_count, header
-        As for `PcdCompressedWriter`.
-    """
+    """Writes records of one size, each to its place."""
 
     def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
         super().__init__(path, point_count)
@@ -323,15 +304,8 @@ class PcdBinaryParts(PartWriter):
 class PcdCompressedWriter(MapWriter):
     """Collects columns in a temporary file, and compresses them in the end.
 
-    Parameters
-    ----------
-    path : Path
-    point_count : int
-        Points that it will hold.
-    header : PcdHeader
-        Of the file that serves as the model.
-    widths : tuple of int
-        Bytes that each column takes in a record.
+    The header is that of the file that serves as the model; widths are bytes of each column in a
+    record.
     """
 
     def __init__(
@@ -354,7 +328,7 @@ class PcdCompressedWriter(MapWriter):
             self._stream.write(_SIZES.pack(0, 0))
             packed_size = 0
             for block in self._spool.blocks():
-                packed_size += self._stream.write(lzf.compress(block))
+                packed_size += self._stream.write(compress(block))
             if max(packed_size, self._column_size) >= 1 << 32:
                 found = f"{packed_size} of {self._column_size}"
                 raise MapFormatError(self.path, "compressed data below 4 GiB", found)

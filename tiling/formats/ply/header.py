@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from tiling.errors import MapFormatError
+from tiling.formats.points import Field
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 VERTEX = "vertex"
@@ -87,31 +88,21 @@ class PlyElement:
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    r"""All that stands before the first record.
-
-    Attributes
-    ----------
-    encoding : str
-        `"ascii"`, `"binary_little_endian"` or `"binary_big_endian"`.
-    line_end : bytes
-        What ends a line: `b"\n"`, or `b"\r"` in files from old Macs. (A `b"\r"` before a
-        `b"\n"` is kept as part of the line.)
-    lines : tuple of bytes
-        The lines without their ends, up to and including `end_header`.
-    owners : tuple of (str or None)
-        For each line, the element it declares or belongs to; None for format and remarks.
-    elements : tuple of PlyElement
-        In the order of the file.
-    size : int
-        Bytes of the header.
-    """
+    """All that stands before the first record."""
 
     encoding: str
+    """`"ascii"`, `"binary_little_endian"` or `"binary_big_endian"`."""
     line_end: bytes
+    r"""What ends a line: `b"\n"`, or `b"\r"` in files from old Macs. (A `b"\r"` before a `b"\n"` is
+    kept as part of the line.)"""
     lines: tuple[bytes, ...]
+    """The lines without their ends, up to and including `end_header`."""
     owners: tuple[str | None, ...]
+    """For each line, the element it declares or belongs to; None for format and remarks."""
     elements: tuple[PlyElement, ...]
+    """In the order of the file."""
     size: int
+    """Bytes of the header."""
 
     @property
     def byte_order(self) -> str:
@@ -128,11 +119,11 @@ class PlyHeader:
         """The elements that cannot survive when vertices are removed."""
         return tuple(e for e in self.elements if e.name != VERTEX and e.count and e.names_vertices)
 
-    def extended(self, names: Sequence[str], dtypes: Sequence[str]) -> "PlyHeader":
+    def extended(self, fields: Sequence[Field]) -> "PlyHeader":
         """Return the header of vertices with further properties of one number each."""
         further = tuple(
-            PlyProperty(name, np.dtype(self.byte_order + np.dtype(dtype).str[1:]))
-            for name, dtype in zip(names, dtypes, strict=True)
+            PlyProperty(each.name, np.dtype(self.byte_order + np.dtype(each.dtype).str[1:]))
+            for each in fields
         )
         types = {code: word for word, code in reversed(_TYPES.items())}
         last = max(number for number, owner in enumerate(self.owners) if owner == VERTEX)
@@ -228,7 +219,6 @@ class _HeaderParser:
         self.owners.append(owner)
 
     def elements(self) -> tuple[PlyElement, ...]:
-        """Return the elements declared so far."""
         return tuple(
             PlyElement(name, count, tuple(self._properties[name].values()))
             for name, count in self._counts.items()

@@ -29,11 +29,6 @@ class PlyReader(MapReader):
     that mean vertices by number (faces, edges): these lose their sense with the first point
     removed and are left out, which the description's notes say.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     MapFormatError
@@ -163,9 +158,7 @@ class PlyReader(MapReader):
         """Return what writes further properties; see `MapReader.extended`."""
         self._kept_elements()  # found by this header, the one of the file
         model = copy(self)
-        model._header = self._header.extended(
-            [field.name for field in fields], [field.dtype for field in fields]
-        )
+        model._header = self._header.extended(fields)
         if self._header.encoding == "ascii":
             return ExtendedText(model, fields)
         return ExtendedRecords(model, fields, self._header.byte_order)
@@ -254,7 +247,6 @@ class _KeptElements:
 
     @property
     def size_before(self) -> int:
-        """Bytes of those before the vertices."""
         return sum(end - start for start, end in self.before)
 
 
@@ -295,7 +287,6 @@ class _PlyParts(PartWriter):
         self._record_size = header.vertex.least_bytes
 
     def put(self, file: BinaryIO, first: int, records: NDArray[Any]) -> None:
-        """Write records to their places."""
         put_records(file, self._start + first * self._record_size, records)
 
     def _write_surroundings(self, file: BinaryIO) -> None:

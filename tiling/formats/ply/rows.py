@@ -24,15 +24,10 @@ _MOST_BYTES = 1 << 26
 
 
 class PlyRows(ABC):
-    """Records from a place in the file on.
-
-    Attributes
-    ----------
-    position : int
-        Byte at which the next record begins.
-    """
+    """Records from a place in the file on."""
 
     position: int
+    """Byte at which the next record begins."""
 
     @abstractmethod
     def take(

@@ -1,12 +1,14 @@
-"""Where the coordinates are in a table: in columns x, y and z, or in one column of points.
+"""Parquet files of any name, and where the coordinates are in a table.
 
-Such a column is a list of three numbers or more, as PDAL writes it (`xyz`); or the geometry of
-GeoParquet: a structure with x, y and z, or points in the form of well-known binary (WKB, ISO or
-with PostGIS's flag).
+They are in columns x, y and z, or in one column of points. Such a column is a list of three
+numbers or more, as PDAL writes it (`xyz`); or the geometry of GeoParquet: a structure with x, y
+and z, or points in the form of well-known binary (WKB, ISO or with PostGIS's flag).
 """
 
 import json
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,10 +17,28 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.points import COORDINATES, coordinate_names
+
+
+@contextmanager
+def open_parquet(path: Path, **options: Any) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file of any name: Arrow itself takes names that are UTF-8, and no others.
+
+    The options are those of `pyarrow.parquet.ParquetFile`.
+    """
+    with pa.OSFile(os.fsencode(path), "rb") as source, pq.ParquetFile(source, **options) as file:
+        yield file
+
+
+def row_count(path: Path) -> int:
+    """Return the number of rows of a file."""
+    with open_parquet(path) as file:
+        return int(file.metadata.num_rows)
+
 
 _POINTS = "xyz"
 _WKB_POINT = np.dtype([("order", "u1"), ("kind", "<u4"), ("xyz", "<f8", 3)])
@@ -30,34 +50,17 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PointColumns:
-    """The columns of the coordinates, and how they are taken out of a table.
-
-    Attributes
-    ----------
-    names : tuple of str
-    take : callable
-        Returns the (n, 3) float64 coordinates of a table; what is null is NaN.
-    """
+    """The columns of the coordinates, and how they are taken out of a table."""
 
     names: tuple[str, ...]
     take: Callable[[pa.Table], Points]
+    """Returns the (n, 3) float64 coordinates of a table; what is null is NaN."""
 
 
 def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumns | None:
-    """Find the coordinates in a table.
+    """Find the coordinates in a table; return None where no columns could hold them.
 
-    Parameters
-    ----------
-    schema : pyarrow.Schema
-    geo : bytes or None
-        GeoParquet's description of the table, if there is one.
-    path : Path
-        The file, for messages.
-
-    Returns
-    -------
-    PointColumns or None
-        None where there are no columns that could hold them.
+    GeoParquet's description of the table is `geo`, if there is one.
 
     Raises
     ------

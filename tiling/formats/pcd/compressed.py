@@ -1,4 +1,4 @@
-"""LZF compression as a stream, in the form that binary_compressed PCD files hold.
+"""The data of binary_compressed PCD files: LZF compression of whole columns, as streams.
 
 The format is that of Marc Lehmann's LibLZF: a sequence of instructions, each with a control byte.
 
@@ -12,9 +12,12 @@ and blocks compressed on their own make one valid stream when written one after 
 Neither end of this module holds more than a few MiB, whatever the size of the data.
 """
 
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from tempfile import TemporaryFile
+from typing import BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,39 +70,33 @@ def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Ite
     filled = kept = produced = 0
     packed = b""
     start, left = stream.tell(), packed_size
+
+    def wrong(expected: str, found: str) -> MapFormatError:
+        return MapFormatError(path, expected, found, f"byte {start}")
+
     while left or packed:
         block = stream.read(min(BLOCK, left))
         if left and not block:
-            raise MapFormatError(
-                path, f"{packed_size} compressed bytes", "the end of the file", f"byte {start}"
-            )
+            raise wrong(f"{packed_size} compressed bytes", "the end of the file")
         left -= len(block)
         packed += block
         used, filled, fault = _decode(np.frombuffer(packed, dtype=np.uint8), window, filled)
         start += used
         packed = packed[used:]
         if fault == _BEFORE_START:
-            raise MapFormatError(
-                path, "LZF data", "a copy of bytes before the first", f"byte {start}"
-            )
+            raise wrong("LZF data", "a copy of bytes before the first")
         produced += filled - kept
         if produced > size:
-            raise MapFormatError(
-                path, f"{size} bytes of LZF data", "more than these", f"byte {start}"
-            )
+            raise wrong(f"{size} bytes of LZF data", "more than these")
         if not left and not used and packed:
-            raise MapFormatError(
-                path, "LZF data", "an instruction that is cut short", f"byte {start}"
-            )
+            raise wrong("LZF data", "an instruction that is cut short")
         yield window[kept:filled]
         # What a copy may still reach moves to the front.
         kept = min(filled, REACH)
         window[:kept] = window[filled - kept : filled].copy()
         filled = kept
     if produced != size:
-        raise MapFormatError(
-            path, f"{size} bytes of LZF data", f"{produced} bytes", f"byte {start}"
-        )
+        raise wrong(f"{size} bytes of LZF data", f"{produced} bytes")
 
 
 def compress(block: Bytes) -> bytes:
@@ -205,3 +202,77 @@ def _put_literals(block: Bytes, start: int, stop: int, packed: Bytes, written: i
         written += 1 + length
         start += length
     return written
+
+
+class ColumnSpool:
+    """Fixed-size records of points, kept on disk as columns, as compressed files hold them.
+
+    Widths are bytes of each column in a record. The file lies in the folder for temporary files
+    (`TMPDIR`), has no name, and is gone when it is closed, or when the process ends for whatever
+    reason. A context manager that closes it.
+    """
+
+    def __init__(self, widths: Sequence[int], point_count: int) -> None:
+        self._widths = tuple(widths)
+        self._point_count = point_count
+        with _blaming_its_folder():
+            # Unbuffered, so that a full disk is met where it is written to.
+            self._file = TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `close`
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def append(self, data: NDArray[np.uint8]) -> None:
+        """Write the next bytes of the columns, in the file's order."""
+        self._write(data.tobytes())
+
+    def blocks(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield the bytes of all columns, in the file's order."""
+        self._file.seek(0)
+        while block := self._file.read(BLOCK):
+            yield np.frombuffer(block, dtype=np.uint8)
+
+    def write_points(self, first_row: int, records: NDArray[np.void]) -> None:
+        """Put the records of consecutive points into their columns."""
+        rows = records.view(np.uint8).reshape(len(records), -1)
+        start = column = 0
+        for width in self._widths:
+            self._file.seek(column + first_row * width)
+            self._write(rows[:, start : start + width].tobytes())
+            start += width
+            column += width * self._point_count
+
+    def read_points(self, first_row: int, count: int) -> NDArray[np.void]:
+        """Gather the records of consecutive points from their columns."""
+        rows = np.empty((count, sum(self._widths)), dtype=np.uint8)
+        start = column = 0
+        for width in self._widths:
+            self._file.seek(column + first_row * width)
+            values = np.frombuffer(self._file.read(count * width), dtype=np.uint8)
+            rows[:, start : start + width] = values.reshape(count, width)
+            start += width
+            column += width * self._point_count
+        return rows.view(f"V{rows.shape[1]}")[:, 0]
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._file.close()
+
+    def _write(self, data: bytes) -> None:
+        left = memoryview(data)
+        with _blaming_its_folder():
+            while left:
+                left = left[self._file.write(left) :]
+
+
+@contextmanager
+def _blaming_its_folder() -> Iterator[None]:
+    """Name the folder for temporary files in an error, as the file itself has no name."""
+    try:
+        yield
+    except OSError as error:
+        folder = tempfile.gettempdir()
+        raise OSError(error.errno, error.strerror, f"{folder} (temporary files)") from error

@@ -1,1 +1,0 @@
-"""The plain versions: the oracles that the compiled code is tested against."""
