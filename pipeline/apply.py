@@ -22,6 +22,7 @@ from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, ClusterSummary
 from pipeline.areas import areas_of_voxels
 from pipeline.configuration.run import Configuration, load_configuration
+from pipeline.decision import Decision
 from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
 from pipeline.outputs.folder import OutputNames, output_folder
@@ -36,11 +37,14 @@ from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
+from pipeline.scan_numbers import find_scans
+from pipeline.seen_again import SeenAgain
 from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.units import open_collection
 from pipeline.work.files import make_rows, open_rows
 from pipeline.work.map_state import unchanged
 from tiling.collection import MapCollection, content_hash
+from tiling.formats.points import PointBatch
 
 _FREE = ("removal", "output", "execution")
 """Sections that say nothing of what was computed."""
@@ -104,7 +108,10 @@ def decide_again(
         if restore:
             areas = _areas_of_places(collection, report, kept, restore, observer)
             configuration = _protecting(configuration, areas)
-        cleaned = _Decision(collection, configuration, report, kept, observer).made()
+        shows = configuration.removal.weighs_evidence and configuration.output.report == "html"
+        source = find_scans(collection, configuration, observer) if shows else None
+        seen = None if source is None else SeenAgain(collection, source, staging / "rows")
+        cleaned = _Decision(collection, configuration, report, kept, seen, observer).made()
         places = make_places(names, staging)
         scores = PointScores(
             kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
@@ -160,6 +167,8 @@ def _check_content(collection: MapCollection, report: RunReport, observer: Stage
     observer.stage("hashing", collection.point_count)
     if content_hash(collection.paths) != report.input_hash:
         raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+    if report.poses_hash not in (None, collection.poses and collection.poses.hashed()):
+        raise InputChangedError(f"{collection.name}: its poses changed since it was cleaned")
 
 
 def _protecting(configuration: Configuration, areas: Sequence[Area]) -> Configuration:
@@ -255,10 +264,11 @@ class _Decision:
         configuration: Configuration,
         report: RunReport,
         kept: _Kept,
+        seen: SeenAgain | None,
         observer: StageObserver,
     ) -> None:
         self._collection, self._configuration = collection, configuration
-        self._report, self._kept, self._observer = report, kept, observer
+        self._report, self._kept, self._seen, self._observer = report, kept, seen, observer
         # Of one model a tile some numbers are of no cluster.
         self._counts = [0] * (1 + max((each.index for each in report.clusters), default=-1))
         for each in report.clusters:
@@ -274,7 +284,7 @@ class _Decision:
         removed = np.zeros(len(counts), np.int64)
         found = np.zeros(len(Label), np.int64)
         self._observer.stage("deciding", self._collection.point_count)
-        for _, batch in self._collection.batches():
+        for file, batch in self._collection.batches():
             rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
             safe = marks(batch, configuration) == PROTECTED
             labels, cluster = kept["label"][rows], kept["cluster"][rows]
@@ -283,7 +293,7 @@ class _Decision:
             labels[dynamic] = Label.DYNAMIC
             found += np.bincount(labels, minlength=len(Label))
             removed += np.bincount(cluster[dynamic], minlength=len(counts))
-            self._take(batch.xyz, rows, safe)
+            self._take(file, batch, rows, safe)
             self._observer.advance(len(batch.xyz))
         clusters = tuple(
             ClusterSummary(
@@ -298,8 +308,7 @@ class _Decision:
         )
         decision, views = DecisionSums.merged(self._sums).decision(), None
         if configuration.output.report == "html":
-            sample = MapSample.of_parts(self._collection.point_count, self._shown)
-            views = partial(Views.of, sample, clusters, removal, decision)
+            views = partial(self._views, clusters, decision)
         titles = {label.title: int(found[label]) for label in Label}
         return CleanedMap(
             kept["label"],
@@ -313,6 +322,14 @@ class _Decision:
             views,
             time=self._report.time if removal.weighs_evidence else None,
         )
+
+    def _views(self, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
+        """Return what the report shows."""
+        sample = MapSample.of_parts(self._collection.point_count, self._shown)
+        if self._seen is not None:
+            cores = available_cores(self._configuration.execution.workers)
+            sample = self._seen.in_sample(sample, cores)
+        return Views.of(sample, clusters, self._configuration.removal, decision)
 
     def _percentages(self) -> Sequence[Fraction]:
         removal, k = self._configuration.removal, self._configuration.neighbours.k
@@ -342,9 +359,9 @@ class _Decision:
             dynamic[members] = cut.dynamic(density[members], members + rows.start)
         return dynamic
 
-    def _take(self, xyz: NDArray[np.float64], rows: slice, safe: NDArray[np.bool_]) -> None:
+    def _take(self, file: int, batch: PointBatch, rows: slice, safe: NDArray[np.bool_]) -> None:
         """Take over what the report shows of some points, and what it says of places."""
-        removal, kept = self._configuration.removal, self._kept
+        removal, kept, xyz = self._configuration.removal, self._kept, batch.xyz
         label, cluster, density, score, reason = (kept[name][rows] for name in _KINDS)
         if removal.weighs_evidence:
             scores = np.where(safe, np.float32(np.nan), score)
@@ -357,6 +374,8 @@ class _Decision:
             chosen = np.flatnonzero(is_sampled(own, self._collection.point_count))
             apart = (label == Label.UNSCORED) & (cluster == NO_CLUSTER)
             labels = np.where(apart, np.uint8(Label.INVALID), label)
+            if self._seen is not None:
+                self._seen.add(file, batch, labels == Label.INVALID)
             sample = MapSample(
                 self._collection.point_count,
                 own[chosen],

@@ -144,6 +144,11 @@ def draw_images(parts: Iterable[tuple[Floats, Scans]], sensor: Floats, rows: _Ro
     return images
 
 
+def draw_into(images: Images, xyz: Floats, scan: Scans, sensor: Floats) -> None:
+    """Draw further points into the range images of all scans, (S, PIXELS); see `draw_images`."""
+    _draw(xyz, scan, sensor, np.arange(len(sensor), dtype=np.int32), images)
+
+
 @helper
 def _pixel_of(x: float, y: float, z: float) -> int:
     """Return the pixel of a direction, which is no zero."""

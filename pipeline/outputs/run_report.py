@@ -84,6 +84,8 @@ class RunReport(BaseModel):
         The files written into it.
     input_hash : str
         SHA-256 over the bytes of the input files, in order.
+    poses_hash : str or None
+        SHA-256 over the poses of its scans, if they are known.
     files : list of InputFile
         The map's files, and the names of what became of each.
     points : int
@@ -123,6 +125,7 @@ class RunReport(BaseModel):
     output: FileName
     outputs: list[FileName]
     input_hash: str
+    poses_hash: str | None = None
     files: list[InputFile]
     points: int
     counts: dict[str, int]
@@ -160,6 +163,7 @@ class RunReport(BaseModel):
             output=str(folder),
             outputs=[str(name) for name in names.all_files(configuration.output)],
             input_hash=input_hash,
+            poses_hash=None if collection.poses is None else collection.poses.hashed(),
             files=_input_files(collection, names),
             points=collection.point_count,
             counts=counts,
