@@ -43,6 +43,13 @@ _NEAREST = 0.3
 _SCANS_AT_A_TIME = 128
 _LEAST_A_THREAD = 20_000
 
+IMAGE_BYTES = 2 * PIXELS
+"""Of one range image."""
+
+HELD_BYTES = 3 * _SCANS_AT_A_TIME * IMAGE_BYTES
+"""Of the images that are in memory while it is counted what they saw, at most: of each scan as it
+lies in a file, as it was read, and the nearest returns around."""
+
 _Rows = npt.NDArray[np.intp]
 
 
