@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Views, draw_into
 from pipeline.outputs.map_sample import MapSample
-from pipeline.scan_numbers import ScanSource
+from pipeline.scan_source import ScanSource
 from pipeline.work.files import make_rows, open_rows
 from tiling.collection import MapCollection
 from tiling.formats.points import PointBatch

@@ -6,6 +6,7 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 
@@ -150,6 +151,13 @@ class MapCollection:
         self.first_rows: tuple[int, ...] = tuple(first_rows)
         self.metres: NDArray[np.float64] | None = None
         self.poses: ScanPoses | None = find_poses(self.readers, poses)
+
+    @cached_property
+    def scan_rows(self) -> NDArray[np.int64]:
+        """The row number of the first point of each scan with a pose of its own."""
+        if self.poses is None or self.poses.counts is None:
+            return np.array(self.first_rows, np.int64)
+        return np.cumsum([0, *self.poses.counts[:-1]])
 
     @property
     def is_moved(self) -> bool:

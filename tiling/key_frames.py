@@ -45,15 +45,19 @@ class ScanPoses:
     are_applied : bool
         Whether the points are in the map's frame already.
     are_of_files : bool
-        Whether each file of the map is one of the scans; else the map's points tell their scans.
+        Whether each file of the map is one of the scans, or keeps some apart; else the map's points
+        tell their scans.
     times : (n,) float64 array or None
         Seconds, where they are told.
+    counts : (n,) int64 array or None
+        Points of each scan, where files keep several apart.
     """
 
     poses: Matrices
     are_applied: bool = False
     are_of_files: bool = True
     times: NDArray[np.float64] | None = None
+    counts: NDArray[np.int64] | None = None
 
     def hashed(self, digest: str = "") -> str:
         """Return the hash of the poses and of a digest, in hexadecimal."""
@@ -122,7 +126,7 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
             return ScanPoses(_of_scanner(poses, calibration) if is_kitti else poses)
     if len(paths) > 1 and all(path.suffix.lower() == ".bin" for path in paths):
         raise MapFormatError(parent, "poses of the scans beside them, or input.poses", "none")
-    return _of_viewpoints(readers)
+    return _of_scans_apart(readers) or _of_viewpoints(readers)
 
 
 def read_poses(path: Path) -> tuple[Matrices, NDArray[np.float64] | None]:
@@ -202,6 +206,19 @@ def _of_scanner(poses: Matrices, calibration: Path) -> Matrices:
 def _square(poses: Matrices) -> Matrices:
     last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(poses), 1, 4))
     return np.concatenate([poses, last], axis=1)
+
+
+def _of_scans_apart(readers: Sequence[MapReader]) -> ScanPoses | None:
+    """Return the poses of scans that files keep apart (E57), where there are different ones."""
+    scans = [scan for reader in readers for scan in reader.description.scans]
+    if len({pose for count, pose in scans if count}) < 2 or not all(
+        reader.description.scans for reader in readers
+    ):
+        return None
+    poses = np.array([pose for _, pose in scans], np.float64).reshape(-1, 3, 4)
+    counts = np.array([count for count, _ in scans], np.int64)
+    poses = _checked(poses, readers[0].description.path)
+    return ScanPoses(poses, are_applied=True, counts=counts)
 
 
 def _of_viewpoints(readers: Sequence[MapReader]) -> ScanPoses | None:

@@ -94,6 +94,7 @@ class E57Reader(MapReader):
             fields=tuple(Field(name, np.dtype(each.dtype).name) for name, each in fields.items()),
             crs=name_in_wkt(wkt) if wkt else None,
             notes=tuple(notes),
+            scans=tuple((scan.count, scan.pose) for scan in self._scans),
         )
 
     @property

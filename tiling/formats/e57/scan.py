@@ -69,6 +69,13 @@ class Scan:
         return np.dtype([(field.name, field.dtype) for field in self.fields])
 
     @property
+    def pose(self) -> tuple[float, ...]:
+        """The matrix from the scan to the map, (3, 4), row by row."""
+        rotation = self.rotation or ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        rows = zip(rotation, self.translation or (0.0, 0.0, 0.0), strict=True)
+        return tuple(value for turn, shift in rows for value in (*turn, shift))
+
+    @property
     def _axes(self) -> tuple[str, str, str]:
         names = {field.name for field in self.fields}
         return _CARTESIAN if names.issuperset(_CARTESIAN) else _SPHERICAL
