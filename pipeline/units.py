@@ -29,7 +29,7 @@ def open_collection(
     ----------
     paths : sequence of Path
     parameters : InputParameters
-        `unit` and `poses` are used.
+        `unit`, `poses` and `frame` are used.
     threads : int
         See `MapCollection`.
 
@@ -41,7 +41,7 @@ def open_collection(
         When a file is not a map that can be read.
     """
     poses = None if parameters.poses is None else Path(parameters.poses)
-    collection = MapCollection(paths, threads, poses)
+    collection = MapCollection(paths, threads, poses, parameters.frame)
     said = system_of(collection)
     if parameters.unit != "auto":
         factors = np.full(3, _FACTORS[parameters.unit])

@@ -17,7 +17,7 @@ from tiling.errors import NoMapError, SeveralMapsError
 from tiling.formats import MAP_SUFFIXES, OTHERS_TOO, open_map
 from tiling.formats.base import MapReader
 from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
-from tiling.key_frames import ScanPoses, find_poses, scan_folder
+from tiling.key_frames import Frame, ScanPoses, find_poses, scan_folder
 
 _HASH_BLOCK = 1 << 20
 
@@ -118,6 +118,8 @@ class MapCollection:
         Cores that reading and writing a file may use at once, see `MapReader.threads`.
     poses : Path, optional
         A file of the scans' poses, in the place of what lies beside the files.
+    frame : str
+        That the scans' points are in: see `find_poses`.
 
     Attributes
     ----------
@@ -142,7 +144,13 @@ class MapCollection:
         When a file is not a map that can be read.
     """
 
-    def __init__(self, paths: Sequence[Path], threads: int = 1, poses: Path | None = None) -> None:
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        threads: int = 1,
+        poses: Path | None = None,
+        frame: Frame = "auto",
+    ) -> None:
         if not paths:
             raise NoMapError("no argument", "none")
         self.readers: tuple[MapReader, ...] = tuple(open_map(path, threads) for path in paths)
@@ -150,7 +158,7 @@ class MapCollection:
         *first_rows, self.point_count = accumulate(counts, initial=0)
         self.first_rows: tuple[int, ...] = tuple(first_rows)
         self.metres: NDArray[np.float64] | None = None
-        self.poses: ScanPoses | None = find_poses(self.readers, poses)
+        self.poses: ScanPoses | None = find_poses(self.readers, poses, frame)
 
     @cached_property
     def scan_rows(self) -> NDArray[np.int64]:

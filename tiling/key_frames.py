@@ -9,8 +9,9 @@ its file lies, so that any of the files may be named alone.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ _LOOKED_AT = 20_000
 """Points of a scan."""
 
 Matrices = NDArray[np.float64]
+Frame = Literal["auto", "sensor", "map"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +91,9 @@ def scan_folder(folder: Path) -> list[Path] | None:
     return scans if len(viewpoints) > 1 else None
 
 
-def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanPoses | None:
+def find_poses(
+    readers: Sequence[MapReader], given: Path | None = None, frame: Frame = "auto"
+) -> ScanPoses | None:
     """Find the poses of a map's files; None where they are no scans.
 
     Parameters
@@ -99,12 +103,22 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
     given : Path, optional
         A file of poses, see `read_poses`, in the place of what lies beside the scans; or those of
         the scans that a map was made of, where its files are not these scans.
+    frame : str
+        That the points of files which are scans are in: the `sensor`'s, the `map`'s, or what their
+        layout tells, `auto`.
 
     Raises
     ------
     MapFormatError
         When poses are missing, or are no poses.
     """
+    found = _found_poses(readers, given)
+    if found is None or frame == "auto" or not found.are_of_files or found.counts is not None:
+        return found
+    return replace(found, are_applied=frame == "map")
+
+
+def _found_poses(readers: Sequence[MapReader], given: Path | None) -> ScanPoses | None:
     paths = [reader.description.path for reader in readers]
     parents = {path.parent for path in paths}
     parent = paths[0].parent
