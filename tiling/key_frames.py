@@ -22,6 +22,11 @@ from tiling.formats import MapReader, open_map
 _SCAN_FOLDERS = ("velodyne", "Scans", "scans")
 _POSE_FILES = ("optimized_poses.txt", "poses.txt")
 _VIEWPOINT_FOLDER = "pcd"
+_UNTOLD = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""What VIEWPOINT is where nobody sets it."""
+
+_OPENED = 10
+"""Scans that tell whether a folder is one of scans: a sensor may stand still at first."""
 
 _NOT_A_ROTATION = 1e-2
 """Largest entry of R R^T - 1: poses are written with few digits."""
@@ -87,8 +92,9 @@ def scan_folder(folder: Path) -> list[Path] | None:
         if (folder / name).is_dir() and _pose_file(folder) is not None:
             return list((folder / name).iterdir())
     scans = sorted((folder / _VIEWPOINT_FOLDER).glob("*.pcd"))
-    viewpoints = {open_map(path).description.viewpoint for path in scans[:2]}
-    return scans if len(viewpoints) > 1 else None
+    some = scans[:: max(len(scans) // _OPENED, 1)] if len(scans) > 1 else []
+    told = {open_map(path).description.viewpoint for path in some}
+    return scans if told - {None, _UNTOLD} else None
 
 
 def find_poses(
@@ -236,10 +242,12 @@ def _of_scans_apart(readers: Sequence[MapReader]) -> ScanPoses | None:
 
 
 def _of_viewpoints(readers: Sequence[MapReader]) -> ScanPoses | None:
-    """Return the poses in VIEWPOINT, where files have different ones."""
+    """Return the poses in VIEWPOINT, where files have different ones, or lie in their folder."""
     viewpoints = [reader.description.viewpoint for reader in readers]
     told = [each for each in viewpoints if each is not None]
-    if len(told) < len(readers) or len(set(told)) < 2:
+    folders = {reader.description.path.parent.name for reader in readers}
+    stands = folders == {_VIEWPOINT_FOLDER} and len(told) > 1 and set(told) != {_UNTOLD}
+    if len(told) < len(readers) or (len(set(told)) < 2 and not stands):
         return None
     values = np.array(told)
     poses = _checked(_of_quaternions(values[:, :3], values[:, 3:]), readers[0].description.path)
