@@ -20,8 +20,8 @@ pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 TOLD = f"scans of the file, {FRAMES} scans with poses"
 
 
-def write(path, clouds=CLOUDS, poses=POSES):
-    """Write scans in the frames of their sensors, and their poses."""
+def write(path, clouds=CLOUDS, poses=POSES, times=None):
+    """Write scans in the frames of their sensors, and their poses; times, scaled, if given."""
     image = libe57.ImageFile(str(path), "w")
     image.extensionsAdd("", libe57.E57_V1_0_URI)
     root, scans = image.root(), libe57.VectorNode(image, True)
@@ -37,11 +37,18 @@ def write(path, clouds=CLOUDS, poses=POSES):
         scan.set("pose", structure(image, rotation=rotation, translation=structure(image, **place)))
         scans.append(scan)
         prototype = structure(image, **{name: real(image, 0.0) for name in names})
+        if times is not None:
+            stamp = libe57.ScaledIntegerNode(image, 0, 0, 10**9, 1e-3, 5.0)
+            prototype.set("timeStamp", stamp)
         points = libe57.CompressedVectorNode(image, prototype, libe57.VectorNode(image, True))
         scan.set("points", points)
         buffers, columns = libe57.VectorSourceDestBuffer(), cloud.T.astype("f8").copy()
         for name, column in zip(names, columns, strict=True):
             buffers.append(libe57.SourceDestBuffer(image, name, column, len(column), False, False))
+        if times is not None:
+            stored = np.rint((times[: len(cloud)] - 5.0) * 1e3).astype("q")
+            stamps = libe57.SourceDestBuffer(image, "timeStamp", stored, len(cloud), False, False)
+            buffers.append(stamps)
         writer = points.writer(buffers)
         if len(cloud):
             writer.write(len(cloud))
@@ -116,6 +123,17 @@ def test_poses_that_tell_nothing_are_not_used(tmp_path):
     clouds = [tile - pose[:, 3] for tile, pose in zip(tiles, corners, strict=True)]
     path = write(tmp_path / "tiles.e57", clouds, corners)
     assert open_collection([path], configured().input).poses is not None
+    assert source_of([path])[1] is None
+
+
+def test_times_are_those_of_a_file_of_one_scan(tmp_path):
+    times = 7.05 + np.repeat(np.arange(FRAMES), EACH) * 0.1
+    path = write(tmp_path / "one.e57", [WORLD], np.eye(3, 4)[None], times)
+    _, source, numbers = source_of([path])
+    assert str(source) == f"timeStamp, {FRAMES} scans"
+    np.testing.assert_array_equal(numbers, np.repeat(np.arange(FRAMES), EACH))
+    still = np.tile(np.eye(3, 4), (2, 1, 1))  # each counts from its own beginning
+    path = write(tmp_path / "two.e57", np.array_split(WORLD, 2), still, times)
     assert source_of([path])[1] is None
 
 

@@ -19,6 +19,7 @@ from pipeline.report_page.encoding import encode
 from pipeline.report_page.percentages import removal_percentages
 from pipeline.run import run
 from tests.pipeline.report_page.conftest import BY_EVIDENCE, write_timed_street
+from tests.pipeline.test_key_frames import hdl
 
 
 def page_of(folder):
@@ -111,6 +112,16 @@ def test_after_apply_the_page_shows_scans_as_that_of_the_run_does(cleaned, tmp_p
     decide_again(cleaned[name], tmp_path / "again", [], [], [], observer())
     assert_same_views(cleaned[name], tmp_path / "again")
     assert ('id="array-scans"' in page_of(tmp_path / "again")) == (name != "judged")
+
+
+@pytest.mark.parametrize("merge", ["true", "false"])
+def test_the_page_of_key_frames_is_the_same_after_apply(tmp_path, merge):
+    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    configuration = load_configuration("auto", [*settings, f"output.merge={merge}"])
+    run([hdl(tmp_path / "in")], tmp_path / "out", configuration, observer())
+    decide_again(tmp_path / "out", tmp_path / "again", [], [], [], observer())
+    assert_same_views(tmp_path / "out", tmp_path / "again")
+    assert 'id="array-met"' in page_of(tmp_path / "again")
 
 
 @pytest.mark.parametrize("tile", [1_000_000, 12_000])

@@ -38,6 +38,10 @@ class ScanField:
     scale: float = 1.0
     offset: float = 0.0
 
+    def scaled(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Return what stored values stand for."""
+        return values.astype(np.float64) * self.scale + self.offset
+
 
 @dataclass(frozen=True, slots=True)
 class Scan:
@@ -85,10 +89,10 @@ class Scan:
         by_name = {field.name: field for field in self.fields}
         parts = []
         for name in self._axes:
-            values = records[name].astype(np.float64)
-            if by_name[name].dtype == "<i8":
-                values = values * by_name[name].scale + by_name[name].offset
-            parts.append(values)
+            field, values = by_name[name], records[name]
+            parts.append(
+                field.scaled(values) if field.dtype == "<i8" else values.astype(np.float64)
+            )
         with np.errstate(all="ignore"):
             x, y, z = parts
             if self._axes == _SPHERICAL:
