@@ -43,6 +43,11 @@ def planned(path, *wanted):
     return json.loads(plan_map([str(path)], configured(*wanted), observer, None, as_json=True))
 
 
+def has_room(monkeypatch, free):
+    usage = namedtuple("usage", "free")(free)
+    monkeypatch.setattr("pipeline.plan.resources.shutil.disk_usage", lambda _: usage)
+
+
 @pytest.mark.parametrize("poses", [True, False])
 def test_temporary_files_are_at_most_as_planned(tmp_path, monkeypatch, poses):
     path, peak, plans = write(tmp_path), [0], []
@@ -67,8 +72,9 @@ def test_temporary_files_are_at_most_as_planned(tmp_path, monkeypatch, poses):
     assert figures["worker_memory_bytes"] == plans[0].worker_memory
 
 
-def test_scans_beyond_the_most_share_images(tmp_path):
+def test_scans_beyond_the_most_share_images(tmp_path, monkeypatch):
     path = write(tmp_path, 50_000, 25_000)
+    has_room(monkeypatch, 1 << 50)
     off = planned(path, "evidence.time=off", "tiling.max_points=20000")
     figures = planned(path, "tiling.max_points=20000")
     more = figures["temporary_bytes"] - off["temporary_bytes"]
@@ -79,9 +85,8 @@ def test_scans_beyond_the_most_share_images(tmp_path):
 
 
 def test_a_run_without_room_for_the_images_is_refused(tmp_path, monkeypatch):
-    path, usage = write(tmp_path), namedtuple("usage", "free")
-    free = SCANS * IMAGE_BYTES
-    monkeypatch.setattr("pipeline.plan.resources.shutil.disk_usage", lambda _: usage(free))
+    path = write(tmp_path)
+    has_room(monkeypatch, SCANS * IMAGE_BYTES)
     for command in (
         lambda: run([path], tmp_path / "out", configured(), StageObserver(LogDisplay())),
         lambda: planned(path),
