@@ -37,7 +37,6 @@ from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
-from pipeline.scan_numbers import find_scans
 from pipeline.seen_again import SeenAgain
 from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.units import open_collection
@@ -108,9 +107,7 @@ def decide_again(
         if restore:
             areas = _areas_of_places(collection, report, kept, restore, observer)
             configuration = _protecting(configuration, areas)
-        shows = configuration.removal.weighs_evidence and configuration.output.report == "html"
-        source = find_scans(collection, configuration, observer) if shows else None
-        seen = None if source is None else SeenAgain(collection, source, staging / "rows")
+        seen = SeenAgain.of(collection, configuration, staging / "rows", observer)
         cleaned = _Decision(collection, configuration, report, kept, seen, observer).made()
         places = make_places(names, staging)
         scores = PointScores(

@@ -1,12 +1,16 @@
 """What the report of `apply` shows of scans: it is found out again, as the run kept none of it."""
 
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Views, draw_into
+from dynahull.progress import Observer
+from pipeline.configuration.run import Configuration
 from pipeline.outputs.map_sample import MapSample
+from pipeline.scan_numbers import find_scans
 from pipeline.scan_source import ScanSource
 from pipeline.work.files import make_rows, open_rows
 from tiling.collection import MapCollection
@@ -35,6 +39,20 @@ class SeenAgain:
             make_rows(folder / "images", len(self._sensor) * PIXELS, np.uint16, NOTHING)
             images = np.asarray(open_rows(folder / "images", np.uint16, "r+"))
             self._images: Images = images.reshape(-1, PIXELS)
+
+    @classmethod
+    def of(
+        cls,
+        collection: MapCollection,
+        configuration: Configuration,
+        folder: Path,
+        observer: Observer,
+    ) -> Self | None:
+        """Find out what tells scans; None where nothing does, or no report asks for it."""
+        if not configuration.removal.weighs_evidence or configuration.output.report != "html":
+            return None
+        source = find_scans(collection, configuration, observer)
+        return None if source is None else cls(collection, source, folder)
 
     def add(self, file: int, batch: PointBatch, apart: NDArray[np.bool_]) -> None:
         """Take points of a file; those that are `apart` took no part, and are in no image."""
