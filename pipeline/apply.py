@@ -29,17 +29,19 @@ from pipeline.outputs.modes import PointScores, check_mode
 from pipeline.outputs.reading import row_columns
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
-from pipeline.places import NOWHERE, SIDE, DecisionSums
+from pipeline.places import NOWHERE, SIDE, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
+from pipeline.seen_again import SeenAgain
 from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.units import open_collection
 from pipeline.work.files import make_rows, open_rows
 from pipeline.work.map_state import unchanged
 from tiling.collection import MapCollection, content_hash
+from tiling.formats.points import PointBatch
 
 _FREE = ("removal", "output", "execution")
 """Sections that say nothing of what was computed."""
@@ -105,7 +107,8 @@ def decide_again(
         if restore:
             areas = _areas_of_places(collection, report, kept, restore, observer)
             configuration = _protecting(configuration, areas)
-        cleaned = _Decision(collection, configuration, report, kept, observer).made()
+        seen = SeenAgain.of(collection, configuration, staging / "rows", observer)
+        cleaned = _Decision(collection, configuration, report, kept, seen, observer).made()
         places = make_places(names, staging)
         scores = PointScores(
             kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
@@ -161,6 +164,8 @@ def _check_content(collection: MapCollection, report: RunReport, observer: Stage
     observer.stage("hashing", collection.point_count)
     if content_hash(collection.paths) != report.input_hash:
         raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
+    if report.poses_hash not in (None, collection.poses and collection.poses.hashed()):
+        raise InputChangedError(f"{collection.name}: its poses changed since it was cleaned")
 
 
 def _protecting(configuration: Configuration, areas: Sequence[Area]) -> Configuration:
@@ -249,10 +254,11 @@ class _Decision:
         configuration: Configuration,
         report: RunReport,
         kept: Kept,
+        seen: SeenAgain | None,
         observer: StageObserver,
     ) -> None:
         self._collection, self._configuration = collection, configuration
-        self._report, self._kept, self._observer = report, kept, observer
+        self._report, self._kept, self._seen, self._observer = report, kept, seen, observer
         # Of one model a tile some numbers are of no cluster.
         self._counts = [0] * (1 + max((each.index for each in report.clusters), default=-1))
         for each in report.clusters:
@@ -267,7 +273,7 @@ class _Decision:
         removed = np.zeros(len(counts), np.int64)
         found = np.zeros(len(Label), np.int64)
         self._observer.stage("deciding", self._collection.point_count)
-        for _, batch in self._collection.batches():
+        for file, batch in self._collection.batches():
             rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
             safe = marks(batch, configuration) == PROTECTED
             labels, cluster = kept["label"][rows], kept["cluster"][rows]
@@ -276,7 +282,7 @@ class _Decision:
             labels[dynamic] = Label.DYNAMIC
             found += np.bincount(labels, minlength=len(Label))
             removed += np.bincount(cluster[dynamic], minlength=len(counts))
-            self._take(batch.xyz, rows, safe)
+            self._take(file, batch, rows, safe)
             self._observer.advance(len(batch.xyz))
         clusters = tuple(
             ClusterSummary(
@@ -291,8 +297,7 @@ class _Decision:
         )
         decision, views = DecisionSums.merged(self._sums).decision(), None
         if configuration.output.report == "html":
-            sample = MapSample.of_parts(self._collection.point_count, self._shown)
-            views = partial(Views.of, sample, clusters, removal, decision)
+            views = partial(self._views, clusters, decision)
         titles = {label.title: int(found[label]) for label in Label}
         return CleanedMap(
             kept["label"],
@@ -306,6 +311,14 @@ class _Decision:
             views,
             time=self._report.time if removal.weighs_evidence else None,
         )
+
+    def _views(self, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
+        """Return what the report shows."""
+        sample = MapSample.of_parts(self._collection.point_count, self._shown)
+        if self._seen is not None:
+            cores = available_cores(self._configuration.execution.workers)
+            sample = self._seen.in_sample(sample, cores)
+        return Views.of(sample, clusters, self._configuration.removal, decision)
 
     def _percentages(self) -> Sequence[Fraction]:
         removal, k = self._configuration.removal, self._configuration.neighbours.k
@@ -335,9 +348,9 @@ class _Decision:
             dynamic[members] = cut.dynamic(density[members], members + rows.start)
         return dynamic
 
-    def _take(self, xyz: NDArray[np.float64], rows: slice, safe: NDArray[np.bool_]) -> None:
+    def _take(self, file: int, batch: PointBatch, rows: slice, safe: NDArray[np.bool_]) -> None:
         """Take over what the report shows of some points, and what it says of places."""
-        removal, kept = self._configuration.removal, self._kept
+        removal, kept, xyz = self._configuration.removal, self._kept, batch.xyz
         label, cluster, density, score, reason = (kept[name][rows] for name in _KINDS)
         if removal.weighs_evidence:
             scores = np.where(safe, np.float32(np.nan), score)
@@ -350,6 +363,8 @@ class _Decision:
             chosen = np.flatnonzero(is_sampled(own, self._collection.point_count))
             apart = (label == Label.UNSCORED) & (cluster == NO_CLUSTER)
             labels = np.where(apart, np.uint8(Label.INVALID), label)
+            if self._seen is not None:
+                self._seen.add(file, batch, labels == Label.INVALID)
             sample = MapSample(
                 self._collection.point_count,
                 own[chosen],

@@ -22,7 +22,8 @@ from pipeline.places import Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.report_page.page import Views
-from pipeline.scan_numbers import ScanSource, find_scans
+from pipeline.scan_numbers import find_scans
+from pipeline.scan_source import ScanSource
 from tiling.collection import MapCollection
 from tiling.resolution import coarse_step_notes, typical_place
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from dynahull.evidence.viewpoints import MOST_VIEWPOINTS
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import survey_map
@@ -15,6 +16,7 @@ from pipeline.plan.plan import check_plan, draw_plan, make_plan
 from pipeline.plan.resources import check_one_tile, is_one_tile, one_tile_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
+from pipeline.scan_numbers import find_scans
 from pipeline.showing import check_named_file, drawable, only_showing, printable
 from pipeline.tiles.cleaning import gather_chunks, plan_tiles
 from pipeline.units import open_collection
@@ -22,7 +24,7 @@ from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from pipeline.work.job import CHUNKS_FOLDER
 from pipeline.work.map_state import unchanged
 from pipeline.work.opening import open_job
-from tiling.collection import content_hash, find_map_files
+from tiling.collection import MapCollection, content_hash, find_map_files
 from tiling.output_file import writing_only_into
 
 _PRODUCTS = ("chunks", "store.json")
@@ -62,7 +64,8 @@ def plan_map(
         tiling = {"max_points": max(collection.point_count, 1)}
         whole = configuration.tiling.model_copy(update=tiling)
         configuration = configuration.model_copy(update={"tiling": whole})
-    plan = make_plan(collection, surveyed, configuration, workers)
+    scans = None if one_tile else _viewpoints(collection, configuration, observer)
+    plan = make_plan(collection, surveyed, configuration, workers, scans)
     if one_tile:
         memory, _ = one_tile_memory(collection, configuration)
         plan = replace(plan, worker_memory=memory, disk=0)
@@ -79,6 +82,20 @@ def plan_map(
         return json.dumps({**plan.figures(), "one_tile": one_tile}, indent=2)
     told = "\none tile: cleaned in memory, without temporary files" if one_tile else ""
     return plan.to_text() + told + drawn
+
+
+def _viewpoints(
+    collection: MapCollection, configuration: Configuration, observer: StageObserver
+) -> int | None:
+    """Return how many range images of scans there will be, at most; None where there are none."""
+    if not configuration.removal.weighs_evidence:
+        return None
+    source = find_scans(collection, configuration, observer)
+    observer.finish()
+    if source is None:
+        return None
+    sensor = source.sensor(collection)
+    return min(source.scans, MOST_VIEWPOINTS) if sensor is None else len(sensor)
 
 
 def tile_map(

@@ -15,6 +15,7 @@ from pipeline.eligibility import survey_map
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.outputs.folder import default_folder
 from pipeline.outputs.run_report import RunReport
+from pipeline.part_poses import with_poses_of_part
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.run import run
@@ -124,11 +125,7 @@ def preview(
         raise ConfigurationError(f"{collection.name}: no point in the window, {window}")
     with writing_only_into(folder):
         files = _write_part(collection, kept, folder)
-        if collection.poses is not None and collection.is_moved:
-            poses = folder / PART_FOLDER / "poses.txt"
-            np.savetxt(poses, collection.poses.poses[list(kept)].reshape(-1, 12), "%.17g")
-            values["input"]["poses"] = str(poses)
-            configuration = Configuration.model_validate(values)
+        configuration = with_poses_of_part(collection, kept, files, configuration, observer)
     observer.warn(_description(part, window, collection))
     return run(files, folder, configuration, observer)
 

@@ -23,7 +23,10 @@ _FACTORS = {"metre": METRE, "foot": FOOT, "us_survey_foot": US_SURVEY_FOOT}
 def open_collection(
     paths: Sequence[Path], parameters: InputParameters, threads: int = 1
 ) -> MapCollection:
-    """Open the files of a map, whose points come in metres, as `input.unit` and `input.poses` say.
+    """Open the files of a map, whose points come in metres.
+
+    `parameters` say the unit, the poses of its scans and the frame; see `MapCollection` for the
+    rest.
 
     Raises
     ------
@@ -33,7 +36,7 @@ def open_collection(
         When a file is not a map that can be read.
     """
     poses = None if parameters.poses is None else Path(parameters.poses)
-    collection = MapCollection(paths, threads, poses)
+    collection = MapCollection(paths, threads, poses, parameters.frame)
     said = system_of(collection)
     if parameters.unit != "auto":
         factors = np.full(3, _FACTORS[parameters.unit])

@@ -6,6 +6,7 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from tiling.errors import NoMapError, SeveralMapsError
 from tiling.formats import MAP_SUFFIXES, OTHERS_TOO, open_map
 from tiling.formats.base import MapReader
 from tiling.formats.points import DEFAULT_BATCH, PointBatch, checked_rows
-from tiling.key_frames import ScanPoses, find_poses, scan_folder
+from tiling.key_frames import Frame, ScanPoses, find_poses, scan_folder
 
 _HASH_BLOCK = 1 << 20
 
@@ -115,6 +116,8 @@ class MapCollection:
         Cores that reading and writing a file may use at once, see `MapReader.threads`.
     poses : Path, optional
         A file of the scans' poses, in the place of what lies beside the files.
+    frame : str
+        That the scans' points are in: see `find_poses`.
 
     Attributes
     ----------
@@ -139,7 +142,13 @@ class MapCollection:
         When a file is not a map that can be read.
     """
 
-    def __init__(self, paths: Sequence[Path], threads: int = 1, poses: Path | None = None) -> None:
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        threads: int = 1,
+        poses: Path | None = None,
+        frame: Frame = "auto",
+    ) -> None:
         if not paths:
             raise NoMapError("no argument", "none")
         self.readers: tuple[MapReader, ...] = tuple(open_map(path, threads) for path in paths)
@@ -147,7 +156,14 @@ class MapCollection:
         *first_rows, self.point_count = accumulate(counts, initial=0)
         self.first_rows: tuple[int, ...] = tuple(first_rows)
         self.metres: NDArray[np.float64] | None = None
-        self.poses: ScanPoses | None = find_poses(self.readers, poses)
+        self.poses: ScanPoses | None = find_poses(self.readers, poses, frame)
+
+    @cached_property
+    def scan_rows(self) -> NDArray[np.int64]:
+        """The row number of the first point of each scan with a pose of its own."""
+        if self.poses is None or self.poses.counts is None:
+            return np.array(self.first_rows, np.int64)
+        return np.cumsum([0, *self.poses.counts[:-1]])
 
     @property
     def is_moved(self) -> bool:

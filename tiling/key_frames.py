@@ -9,8 +9,9 @@ its file lies, so that any of the files may be named alone.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,11 @@ from tiling.formats import MapReader, open_map
 _SCAN_FOLDERS = ("velodyne", "Scans", "scans")
 _POSE_FILES = ("optimized_poses.txt", "poses.txt")
 _VIEWPOINT_FOLDER = "pcd"
+_UNTOLD = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""What VIEWPOINT is where nobody sets it."""
+
+_OPENED = 10
+"""Scans that tell whether a folder is one of scans: a sensor may stand still at first."""
 
 _NOT_A_ROTATION = 1e-2
 """Largest entry of R R^T - 1: poses are written with few digits."""
@@ -32,6 +38,7 @@ _LOOKED_AT = 20_000
 """Points of a scan."""
 
 Matrices = NDArray[np.float64]
+Frame = Literal["auto", "sensor", "map"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,15 +52,19 @@ class ScanPoses:
     are_applied : bool
         Whether the points are in the map's frame already.
     are_of_files : bool
-        Whether each file of the map is one of the scans; else the map's points tell their scans.
+        Whether each file of the map is one of the scans, or keeps some apart; else the map's points
+        tell their scans.
     times : (n,) float64 array or None
         Seconds, where they are told.
+    counts : (n,) int64 array or None
+        Points of each scan, where files keep several apart.
     """
 
     poses: Matrices
     are_applied: bool = False
     are_of_files: bool = True
     times: NDArray[np.float64] | None = None
+    counts: NDArray[np.int64] | None = None
 
     def hashed(self, digest: str = "") -> str:
         """Return the hash of the poses and of a digest, in hexadecimal."""
@@ -81,11 +92,14 @@ def scan_folder(folder: Path) -> list[Path] | None:
         if (folder / name).is_dir() and _pose_file(folder) is not None:
             return list((folder / name).iterdir())
     scans = sorted((folder / _VIEWPOINT_FOLDER).glob("*.pcd"))
-    viewpoints = {open_map(path).description.viewpoint for path in scans[:2]}
-    return scans if len(viewpoints) > 1 else None
+    some = scans[:: max(len(scans) // _OPENED, 1)] if len(scans) > 1 else []
+    told = {open_map(path).description.viewpoint for path in some}
+    return scans if told - {None, _UNTOLD} else None
 
 
-def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanPoses | None:
+def find_poses(
+    readers: Sequence[MapReader], given: Path | None = None, frame: Frame = "auto"
+) -> ScanPoses | None:
     """Find the poses of a map's files; None where they are no scans.
 
     Parameters
@@ -95,12 +109,22 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
     given : Path, optional
         A file of poses, see `read_poses`, in the place of what lies beside the scans; or those of
         the scans that a map was made of, where its files are not these scans.
+    frame : str
+        That the points of files which are scans are in: the `sensor`'s, the `map`'s, or what their
+        layout tells, `auto`.
 
     Raises
     ------
     MapFormatError
         When poses are missing, or are no poses.
     """
+    found = _found_poses(readers, given)
+    if found is None or frame == "auto" or not found.are_of_files or found.counts is not None:
+        return found
+    return replace(found, are_applied=frame == "map")
+
+
+def _found_poses(readers: Sequence[MapReader], given: Path | None) -> ScanPoses | None:
     paths = [reader.description.path for reader in readers]
     parents = {path.parent for path in paths}
     parent = paths[0].parent
@@ -122,7 +146,7 @@ def find_poses(readers: Sequence[MapReader], given: Path | None = None) -> ScanP
             return ScanPoses(_of_scanner(poses, calibration) if is_kitti else poses)
     if len(paths) > 1 and all(path.suffix.lower() == ".bin" for path in paths):
         raise MapFormatError(parent, "poses of the scans beside them, or input.poses", "none")
-    return _of_viewpoints(readers)
+    return _of_scans_apart(readers) or _of_viewpoints(readers)
 
 
 def read_poses(path: Path) -> tuple[Matrices, NDArray[np.float64] | None]:
@@ -204,11 +228,26 @@ def _square(poses: Matrices) -> Matrices:
     return np.concatenate([poses, last], axis=1)
 
 
+def _of_scans_apart(readers: Sequence[MapReader]) -> ScanPoses | None:
+    """Return the poses of scans that files keep apart (E57), where there are different ones."""
+    scans = [scan for reader in readers for scan in reader.description.scans]
+    if len({pose for count, pose in scans if count}) < 2 or not all(
+        reader.description.scans for reader in readers
+    ):
+        return None
+    poses = np.array([pose for _, pose in scans], np.float64).reshape(-1, 3, 4)
+    counts = np.array([count for count, _ in scans], np.int64)
+    poses = _checked(poses, readers[0].description.path)
+    return ScanPoses(poses, are_applied=True, counts=counts)
+
+
 def _of_viewpoints(readers: Sequence[MapReader]) -> ScanPoses | None:
-    """Return the poses in VIEWPOINT, where files have different ones."""
+    """Return the poses in VIEWPOINT, where files have different ones, or lie in their folder."""
     viewpoints = [reader.description.viewpoint for reader in readers]
     told = [each for each in viewpoints if each is not None]
-    if len(told) < len(readers) or len(set(told)) < 2:
+    folders = {reader.description.path.parent.name for reader in readers}
+    stands = folders == {_VIEWPOINT_FOLDER} and len(told) > 1 and set(told) != {_UNTOLD}
+    if len(told) < len(readers) or (len(set(told)) < 2 and not stands):
         return None
     values = np.array(told)
     poses = _checked(_of_quaternions(values[:, :3], values[:, 3:]), readers[0].description.path)

@@ -43,6 +43,13 @@ _NEAREST = 0.3
 _SCANS_AT_A_TIME = 128
 _LEAST_A_THREAD = 20_000
 
+IMAGE_BYTES = 2 * PIXELS
+"""Of one range image."""
+
+HELD_BYTES = 3 * _SCANS_AT_A_TIME * IMAGE_BYTES
+"""Of the images that are in memory while it is counted what they saw, at most: of each scan as it
+lies in a file, as it was read, and the nearest returns around."""
+
 _Rows = npt.NDArray[np.intp]
 
 
@@ -142,6 +149,11 @@ def draw_images(parts: Iterable[tuple[Floats, Scans]], sensor: Floats, rows: _Ro
     for xyz, scan in parts:
         _draw(xyz, scan, sensor, places, images)
     return images
+
+
+def draw_into(images: Images, xyz: Floats, scan: Scans, sensor: Floats) -> None:
+    """Draw further points into the range images of all scans, (S, PIXELS); see `draw_images`."""
+    _draw(xyz, scan, sensor, np.arange(len(sensor), dtype=np.int32), images)
 
 
 @helper

@@ -24,8 +24,8 @@ _ABOVE = np.array([0.0, 0.0, 1.0])
 _EVERY = 7
 """One row of so many counts, by its number in the whole map."""
 
-_MOST = 20_000
-"""Viewpoints: of longer recordings, scans on end share one."""
+MOST_VIEWPOINTS = 20_000
+"""Of longer recordings, scans on end share one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Viewpoints:
         middles = np.searchsorted(total, before + (after - before + 1) // 2)
         places = ((cells[middles, 2] + 0.5) * _STEP).reshape(-1, 3) + _ABOVE
         numbers = cells[firsts[::3], 0]
-        shared = -(-len(numbers) // _MOST) or 1
+        shared = -(-len(numbers) // MOST_VIEWPOINTS) or 1
         return cls(numbers[::shared], places[::shared])
 
     def rows(self, scan: Scans) -> Scans:

@@ -177,6 +177,9 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
         "of, whose points have a scan number or a time: lines of 12 numbers (KITTI), 13 (with the "
         "time before) or 8 (TUM). null: what lies beside the scans.",
     )
+    frame: Literal["auto", "sensor", "map"] = Field(
+        "auto", description="Of the points of scans with poses. `auto`: as their layout tells."
+    )
     leave_out: tuple[AnyClass, ...] = Field(
         (7, 18),
         description="ASPRS classes of points that decide nothing and stay in place, `unscored`; 7 "

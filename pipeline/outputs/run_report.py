@@ -82,6 +82,8 @@ class RunReport(BaseModel, frozen=True):
     """The files written into it."""
     input_hash: str
     """SHA-256 over the bytes of the input files, in order."""
+    poses_hash: str | None = None
+    """SHA-256 over the poses of its scans, if they are known."""
     files: list[InputFile]
     """The map's files, and the names of what became of each."""
     points: int
@@ -145,6 +147,7 @@ class RunReport(BaseModel, frozen=True):
             output=str(folder),
             outputs=[str(name) for name in names.all_files(configuration.output)],
             input_hash=input_hash,
+            poses_hash=None if collection.poses is None else collection.poses.hashed(),
             files=_input_files(collection, names),
             points=collection.point_count,
             counts=counts,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.evidence.range_images import HELD_BYTES, IMAGE_BYTES
 from dynahull.ground.reach import points_around
 from pipeline.configuration.quantities import in_time, in_units
 from pipeline.configuration.run import Configuration
@@ -44,6 +45,9 @@ _SCORE_BYTES = 40
 
 _EVIDENCE_BYTES = 245
 """More, where evidence is weighed, at most: spread, terms that are kept, voxels."""
+
+_SCAN_BYTES = 95
+"""More, where scans are known, at most: their numbers, returns, marks, and further terms."""
 
 _SAMPLE_BYTES, _SAMPLED = 80, 300_000
 """A point, of so many, that clusters are fitted on or that the report shows."""
@@ -130,9 +134,18 @@ class Plan:
 
 
 def make_plan(
-    collection: MapCollection, survey: Survey, configuration: Configuration, workers: int
+    collection: MapCollection,
+    survey: Survey,
+    configuration: Configuration,
+    workers: int,
+    viewpoints: int | None = None,
 ) -> Plan:
     """Plan how a map is cut, by the survey of all of it, for so many workers to share the work.
+
+    Parameters
+    ----------
+    viewpoints : int, optional
+        Range images of the scans; None where these are not known.
 
     Raises
     ------
@@ -152,8 +165,11 @@ def make_plan(
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
     later = _LABEL_BYTES + (_EVIDENCE_BYTES if weighs else 0)
     later += _SCORE_BYTES if configuration.output.needs_scores else 0
-    chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
     later = core * later + min(core, _SAMPLED) * _SAMPLE_BYTES
+    images = 0
+    if viewpoints is not None:
+        later, images = later + core * _SCAN_BYTES + viewpoints * IMAGE_BYTES, HELD_BYTES
+    chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
     most = max(all_held * _PIECE_BYTES, core * _COLUMN_BYTES, later)
     disk = chunks + most + bytes_kept(collection)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
@@ -164,7 +180,7 @@ def make_plan(
         halo=halo,
         held=held,
         workers=workers,
-        worker_memory=BASE_BYTES + each * int(held.max(initial=0)),
+        worker_memory=BASE_BYTES + images + each * int(held.max(initial=0)),
         disk=disk,
         output_size=output_size(collection, configuration),
         seconds=seconds / 1e6 / workers,

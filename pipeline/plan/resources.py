@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+from dynahull.evidence.range_images import HELD_BYTES
 from dynahull.ground.reach import ground_radius
 from pipeline.configuration.quantities import in_units
 from pipeline.configuration.run import Configuration, is_elsewhere
@@ -156,11 +157,13 @@ def one_tile_memory(collection: MapCollection, configuration: Configuration) -> 
     """
     cloth = configuration.ground.method == "csf"
     each = _BYTES_A_POINT_UNDER_CLOTH if cloth else _BYTES_A_POINT_IN_MEMORY
+    images = 0
     if configuration.removal.weighs_evidence:
         each += EVIDENCE_BYTES
+        images = HELD_BYTES if configuration.evidence.time != "off" else 0
     memory = configuration.execution.memory
     free = available_memory() if memory == "auto" else memory
-    return BASE_BYTES + each * collection.point_count, free
+    return BASE_BYTES + images + each * collection.point_count, free
 
 
 def worker_memory_limit(configuration: Configuration, workers: int) -> int:

@@ -157,7 +157,9 @@ def plan_tiles(
             if job.scan_source is not None:
                 _keep_viewpoints(job)
         warn_of_set_aside(job, observer)
-        plan = make_plan(job.collection, survey, job.configuration, executor.workers)
+        viewpoints = None if job.viewpoints is None else len(job.viewpoints.places)
+        workers = executor.workers
+        plan = make_plan(job.collection, survey, job.configuration, workers, viewpoints)
         check(plan)
     except (PlanError, GridError):
         # Refused: there is nothing to go on with.

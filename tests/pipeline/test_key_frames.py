@@ -305,6 +305,26 @@ def test_a_folder_of_parts_with_one_viewpoint_stays_what_it_is(tmp_path):
     np.testing.assert_array_equal(points_of(collection), np.concatenate(CLOUDS[:3]).astype("f8"))
 
 
+@pytest.mark.parametrize(("moves_from", "known"), [(FRAMES // 2, True), (FRAMES, True), (0, False)])
+def test_a_sensor_that_stands_still_has_a_pose_if_its_scans_tell_it(tmp_path, moves_from, known):
+    folder = benchmark(tmp_path / "in")
+    for number in range(FRAMES):
+        path, pose = folder / "pcd" / f"{number:06d}.pcd", POSES[max(number, moves_from) % FRAMES]
+        place = "0 0 0 1 0 0 0" if not known else " ".join(map(str, [*pose[:, 3], 1, 0, 0, 0]))
+        cloud = WORLD[number * EACH : (number + 1) * EACH].astype("f4")
+        write_pcd(path, cloud, number, place)
+    files = find_map_files([folder])
+    if not known:
+        assert [path.name for path in files] == ["gt_cloud.pcd"]
+        files = find_map_files([folder / "pcd"])
+        assert MapCollection(files).poses is None
+        return
+    collection = MapCollection(files)
+    expected = [POSES[max(number, moves_from) % FRAMES, :, 3] for number in range(FRAMES)]
+    np.testing.assert_allclose(collection.poses.poses[:, :, 3], expected)
+    np.testing.assert_allclose(points_of(collection), WORLD, atol=1e-4)
+
+
 def test_other_files_in_like_places_stay_maps(tmp_path):
     write_pcd(tmp_path / "2024" / "cloud.pcd", CLOUDS[0], 0)
     write_pcd(tmp_path / "scans" / "map.pcd", CLOUDS[0], 0)

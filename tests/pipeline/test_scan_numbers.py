@@ -85,7 +85,8 @@ def test_names_and_units(tmp_path, name, values):
         ("scan", np.arange(COUNT)),  # a number of the point
         ("scan_angle", SCAN),
         ("ring", SCAN),
-        ("scan", SCAN.astype("f4")),
+        ("scan", SCAN.astype("f4") + 0.5),
+        ("scan", np.where(SCAN == 24, 24.5, SCAN)),
         ("time", np.full(COUNT, 1.7e9)),
         ("time", np.zeros(COUNT)),
         ("time", np.full(COUNT, np.nan)),

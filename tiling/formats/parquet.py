@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
+from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
@@ -24,9 +25,6 @@ from tiling.output_file import create_file
 _ARROW_SCHEMA = b"ARROW:schema"
 _GEO = b"geo"
 _READ_BUFFER = 1 << 20
-_SMALL_FILE = 1 << 22
-"""Bytes. Without a buffer whole columns of a row group are in memory, but no page can claim more
-than there is; with one, Arrow takes what the page's header says, up to 2 GiB."""
 _LONGEST_ROW_GROUP = 1 << 20
 """Rows of a row group that the writer gathers in memory, at most."""
 _LARGEST_ROW_GROUP = 1 << 28
@@ -129,6 +127,8 @@ class ParquetReader(MapReader):
             kept = {key: value for key, value in stored.items() if key != _ARROW_SCHEMA}
             self._schema = file.schema_arrow.with_metadata(kept or None)
             self._texts = [each.name for each in self._schema if _is_text(each.type)]
+            self._chunks = find_chunks(path)
+            check_pages(path, self._chunks[0] if self._chunks else [])
             self._layout = _Layout.of(file, path)
             version, point_count = file.metadata.format_version, file.metadata.num_rows
         points = find_points(self._schema, stored.get(_GEO), path)
@@ -170,6 +170,8 @@ class ParquetReader(MapReader):
             ]
             if not groups:
                 return
+            pages = [chunk for group in self._chunks[groups[0] : groups[-1] + 1] for chunk in group]
+            check_pages(self._path, pages)
             first = starts[groups[0]]
             yield from only_rows(self._group_batches(file, groups, first, max_points), rows)
 
@@ -313,7 +315,7 @@ def _opened(path: Path, texts: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
     try:
         with open_parquet(
             path,
-            buffer_size=_READ_BUFFER if path.stat().st_size > _SMALL_FILE else 0,
+            buffer_size=_READ_BUFFER,
             read_dictionary=list(texts),
             pre_buffer=False,
             page_checksum_verification=True,

@@ -71,6 +71,9 @@ class MapDescription:
         What an output of this kind cannot carry over, one plain sentence each.
     viewpoint : tuple of 7 float or None
         Where the sensor was, and its quaternion, w first, where the file says it (PCD).
+    scans : tuple of (int, tuple of 12 float)
+        Points of each scan, and its pose in the map, row by row, where the file keeps scans apart
+        (E57).
     """
 
     path: Path
@@ -85,6 +88,7 @@ class MapDescription:
     grid: Grid | None = None
     notes: tuple[str, ...] = ()
     viewpoint: tuple[float, ...] | None = None
+    scans: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         """Make what is shown to people, and comes from the file, fit for it."""

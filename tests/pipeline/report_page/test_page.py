@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 import yaml
 
+from pipeline.apply import decide_again
 from pipeline.configuration.run import load_configuration
+from pipeline.errors import InputChangedError
 from pipeline.outputs.map_sample import MapSample
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.report_page.encoding import encode
 from pipeline.report_page.percentages import removal_percentages
 from pipeline.run import run
+from tests.pipeline.report_page.conftest import BY_EVIDENCE, write_timed_street
+from tests.pipeline.test_key_frames import hdl
 
 
 def page_of(folder):
@@ -92,6 +96,54 @@ def test_what_scans_saw_does_not_depend_on_how_the_map_is_cut(cleaned):
     wall, who_walked = slice(18_000, 27_000), slice(31_000, None)
     assert np.median(met[wall]) > 4 * np.median(through[wall])
     assert np.median(through[who_walked]) > 4 * np.median(met[who_walked])
+
+
+def assert_same_views(one, other):
+    pages = page_of(one), page_of(other)
+    ids = [re.findall(r' id="((?:array|scan)-[^"]*|play)"', page) for page in pages]
+    assert ids[0] == ids[1]
+    arrays = [name.removeprefix("array-") for name in ids[0] if name.startswith("array-")]
+    assert {name for name in arrays if array(pages[0], name) != array(pages[1], name)} == set()
+    assert facts(pages[0]) | {"apply": None} == facts(pages[1]) | {"apply": None}
+
+
+@pytest.mark.parametrize("name", ["judged", "timed", "posed", "posed tiled"])
+def test_after_apply_the_page_shows_scans_as_that_of_the_run_does(cleaned, tmp_path, name):
+    decide_again(cleaned[name], tmp_path / "again", [], [], [], observer())
+    assert_same_views(cleaned[name], tmp_path / "again")
+    assert ('id="array-scans"' in page_of(tmp_path / "again")) == (name != "judged")
+
+
+@pytest.mark.parametrize("merge", ["true", "false"])
+def test_the_page_of_key_frames_is_the_same_after_apply(tmp_path, merge):
+    settings = ["execution.cluster=none", "ground.method=none", "neighbours.k=8"]
+    configuration = load_configuration("auto", [*settings, f"output.merge={merge}"])
+    run([hdl(tmp_path / "in")], tmp_path / "out", configuration, observer())
+    decide_again(tmp_path / "out", tmp_path / "again", [], [], [], observer())
+    assert_same_views(tmp_path / "out", tmp_path / "again")
+    assert 'id="array-met"' in page_of(tmp_path / "again")
+
+
+@pytest.mark.parametrize("tile", [1_000_000, 12_000])
+def test_points_that_take_no_part_hide_nothing_after_apply_either(tmp_path, tile):
+    path, poses = write_timed_street(tmp_path)
+    xyz, scan = np.load(path)["points"], np.load(path)["scan"]
+    around = np.linspace(0, 2 * np.pi, 28)  # far away, all around the first scans
+    xyz[:28] = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1) * 9_000 + [2, 2, 1.2]
+    scan[:28], xyz[28] = 1, np.nan
+    np.savez(path, points=xyz, scan=scan)
+    settings = [*BY_EVIDENCE, poses, "clustering.count=3", "neighbours.k=30"]
+    settings += [f"tiling.max_points={tile}", "execution.cluster=none"]
+    run([path], tmp_path / "out", load_configuration(None, settings), observer())
+    decide_again(tmp_path / "out", tmp_path / "again", [], [], [], observer())
+    assert_same_views(tmp_path / "out", tmp_path / "again")
+    decide_again(
+        tmp_path / "out", tmp_path / "paper", ["removal.decision=paper"], [], [], observer()
+    )
+    assert 'id="array-scans"' not in page_of(tmp_path / "paper")
+    (tmp_path / "poses.txt").write_text((tmp_path / "poses.txt").read_text().replace("1.2", "1.3"))
+    with pytest.raises(InputChangedError, match="its poses changed since it was cleaned"):
+        decide_again(tmp_path / "out", None, [], [], [], observer())
 
 
 def test_where_no_scans_are_known_the_page_says_nothing_of_them(cleaned):

@@ -94,6 +94,7 @@ class E57Reader(MapReader):
             fields=tuple(Field(name, np.dtype(each.dtype).name) for name, each in fields.items()),
             crs=name_in_wkt(wkt) if wkt else None,
             notes=tuple(notes),
+            scans=tuple((scan.count, scan.pose) for scan in self._scans),
         )
 
     @property
@@ -122,6 +123,18 @@ class E57Reader(MapReader):
                         )
                         row += len(records)
                 first_row += scan.count
+
+    def values(self, records: ScanRecords, name: str) -> NDArray[Any]:
+        """Return one field of some points, scaled; see `MapReader.values`.
+
+        Scans have fields of their own, and count their times from their own beginnings: fields can
+        be read apart where there is one scan only.
+        """
+        if len(self._scans) != 1:
+            return super().values(records, name)
+        (field,) = (each for each in self._scans[0].fields if each.name == name)
+        column: NDArray[Any] = records.rows[name]
+        return column if field.scale == 1 and not field.offset else field.scaled(column)
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a file with this one's scans; see `MapReader.writer`."""

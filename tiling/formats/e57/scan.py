@@ -38,6 +38,10 @@ class ScanField:
     scale: float = 1.0
     offset: float = 0.0
 
+    def scaled(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Return what stored values stand for."""
+        return values.astype(np.float64) * self.scale + self.offset
+
 
 @dataclass(frozen=True, slots=True)
 class Scan:
@@ -69,6 +73,13 @@ class Scan:
         return np.dtype([(field.name, field.dtype) for field in self.fields])
 
     @property
+    def pose(self) -> tuple[float, ...]:
+        """The matrix from the scan to the map, (3, 4), row by row."""
+        rotation = self.rotation or ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        rows = zip(rotation, self.translation or (0.0, 0.0, 0.0), strict=True)
+        return tuple(value for turn, shift in rows for value in (*turn, shift))
+
+    @property
     def _axes(self) -> tuple[str, str, str]:
         names = {field.name for field in self.fields}
         return _CARTESIAN if names.issuperset(_CARTESIAN) else _SPHERICAL
@@ -78,10 +89,10 @@ class Scan:
         by_name = {field.name: field for field in self.fields}
         parts = []
         for name in self._axes:
-            values = records[name].astype(np.float64)
-            if by_name[name].dtype == "<i8":
-                values = values * by_name[name].scale + by_name[name].offset
-            parts.append(values)
+            field, values = by_name[name], records[name]
+            parts.append(
+                field.scaled(values) if field.dtype == "<i8" else values.astype(np.float64)
+            )
         with np.errstate(all="ignore"):
             x, y, z = parts
             if self._axes == _SPHERICAL:
