@@ -7,13 +7,13 @@ from pathlib import Path
 
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
-from pipeline.eligibility import survey_map
+from pipeline.eligibility import check_parts, survey_map
 from pipeline.errors import OutputError
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.picture import draw_plan
 from pipeline.plan.plan import check_plan, make_plan
-from pipeline.plan.resources import check_one_tile, is_one_tile, one_tile_memory
+from pipeline.plan.resources import check_one_tile, check_workers, is_one_tile, one_tile_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
 from pipeline.showing import check_named_file, drawable, only_showing, printable
@@ -58,6 +58,7 @@ def plan_map(
     observer.stage("survey", collection.point_count)
     surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
     observer.finish()
+    check_parts(surveyed.minimum, surveyed.maximum, configuration, observer)
     one_tile = is_one_tile(collection, configuration)
     if one_tile:
         tiling = {"max_points": max(collection.point_count, 1)}
@@ -94,6 +95,7 @@ def tile_map(
     """
     paths = find_map_files(maps)
     refuse_own_folders(output, paths)
+    check_workers(configuration)
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
     try:

@@ -84,7 +84,9 @@ def apply_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
     output: Annotated[
         str | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder. [default: the run's own]"),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Output folder.", show_default="the run's own"
+        ),
     ] = None,
     confidence: Annotated[
         float | None,
@@ -163,7 +165,9 @@ def preview_command(
     maps: Maps,
     output: Annotated[
         str | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder. [default: <map>_preview]"),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Output folder.", show_default="<map>_preview"
+        ),
     ] = None,
     config: ConfigurationSource = None,
     settings: Settings = None,

@@ -140,6 +140,23 @@ class TestPlan:
         )
         assert sorted(tmp_path.iterdir()) == before
 
+    @pytest.mark.parametrize("command", ["run", "tile"])
+    def test_workers_that_could_not_begin_are_not_started(
+        self, command, map_file, tmp_path, call, monkeypatch
+    ):
+        started = "pipeline.cluster.choice.local_workers"
+        monkeypatch.setattr(started, lambda *_: pytest.fail("workers were started"))
+        before = sorted(tmp_path.iterdir())
+        wanted = [*SMALL, "execution.workers=2", "execution.memory=2"]
+        monkeypatch.setattr("pipeline.plan.resources.available_cores", lambda _: 2)
+        code, _, errors = call(command, map_file, "-o", "out", wanted=wanted)
+        assert code == 1
+        assert errors == [
+            "error: a worker takes 350.0 MiB before it has read a point, and has 2 bytes: "
+            "choose more execution.memory"
+        ]
+        assert sorted(tmp_path.iterdir()) == before
+
     @pytest.mark.parametrize("command", ["plan", "run"])
     @pytest.mark.parametrize(
         ("setting", "taken", "remedy"),
