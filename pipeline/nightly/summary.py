@@ -90,6 +90,8 @@ class MapLine(BaseModel):
         The page to look at, relative to the output folder.
     points, removed : int or None
         Of that result.
+    warnings : list of str
+        Of that result.
     seconds : float or None
         That this night took for the map.
     """
@@ -106,6 +108,7 @@ class MapLine(BaseModel):
     report: str | None = None
     points: int | None = None
     removed: int | None = None
+    warnings: list[str] = []
     seconds: float | None = None
 
 
@@ -371,6 +374,7 @@ class Minutes:
             report=self._relative(report_page(latest)) if latest else None,
             points=report.get("points"),
             removed=report.get("counts", {}).get("dynamic"),
+            warnings=[printable(each) for each in report.get("warnings", [])],
             seconds=None if seconds is None else round(seconds, 1),
         )
 
