@@ -22,6 +22,7 @@ from dynahull.removal import remove_likely
 from dynahull.rescale import removal_percentages
 from dynahull.result import NO_CLUSTER, ClusterSummary
 from pipeline.areas import areas_of_voxels
+from pipeline.configuration.effect import check_effect
 from pipeline.configuration.run import Configuration, load_configuration
 from pipeline.eligibility import PROTECTED, check_parts, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
@@ -45,18 +46,6 @@ from tiling.collection import MapCollection, content_hash
 
 _FREE = ("removal", "output", "execution")
 """Sections that say nothing of what was computed."""
-
-_IDLE = {
-    "paper": (
-        ("removal.confidence",),
-        "give removal.min_percent and removal.max_percent, or run again with -c auto",
-    ),
-    "auto": (
-        ("removal.min_percent", "removal.max_percent", "removal.threshold"),
-        "give --confidence, or --set removal.decision=paper as well",
-    ),
-}
-"""What each decision does not look at, and what to do instead."""
 
 _ROWS_AT_A_TIME = 1 << 20
 
@@ -164,12 +153,7 @@ def _configured(
         raise ConfigurationError(
             "removal.decision: the run weighed no evidence; run again with -c auto"
         )
-    idle, remedy = _IDLE[given.removal.decision]
-    for key in (setting.partition("=")[0] for setting in settings):
-        if key in idle:
-            raise ConfigurationError(
-                f"{key} has no effect where removal.decision is {given.removal.decision}: {remedy}"
-            )
+    check_effect(settings, given)
     if given.removal.protect_classes and not all("LA" in file.format for file in report.files):
         raise ConfigurationError("removal.protect_classes expects a LAS map with classes")
     return given

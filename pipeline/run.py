@@ -83,6 +83,9 @@ def run(
     else:
         check_workers(configuration)
     _warn_of_what_is_lost(collection, observer)
+    weighs = configuration.removal.weighs_evidence
+    if configuration.input.poses and not (collection.is_moved or weighs):
+        observer.warn("input.poses has no effect where removal.decision is paper: see -c auto")
     check_mode(collection.readers, configuration)
     names = OutputNames.of_run(collection.readers, configuration.output)
     results = names.all_files(configuration.output)

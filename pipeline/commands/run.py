@@ -61,6 +61,7 @@ def run_command(
 
     A run that was interrupted goes on where it was when the same command is given again.
     """
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
@@ -74,6 +75,7 @@ def run_command(
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
+    check_effect(wanted, configuration)
     check_encryption(configuration, tls)
     with telling_how_to_go_on(), watching() as observer:
         report = run(named, Path(output) if output else None, configuration, observer, fresh=fresh)
@@ -135,6 +137,7 @@ def submit_command(
 ) -> None:
     """Hand a whole run over to a batch system; `status` and `cancel` follow it by its folder."""
     from pipeline.cluster.submitting import run_script, submit_run  # noqa: PLC0415
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
 
@@ -143,6 +146,7 @@ def submit_command(
     wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
     named = named_maps(maps, scans)
     configuration = load_configuration(config, wanted)
+    check_effect(wanted, configuration)
     place = Path(output) if output else None
     if dry_run:
         typer.echo(run_script(named, place, configuration, fresh=fresh), nl=False)
@@ -195,6 +199,7 @@ def preview_command(
 
     The part is a typical place of the map, unless a window is given; a small map is cleaned whole.
     """
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.preview import preview  # noqa: PLC0415
@@ -206,6 +211,7 @@ def preview_command(
     chosen = _chosen_window(window, centre, size, thin)
     wanted = [*(settings or []), *part_settings(None, height, protect)]
     configuration = load_configuration(config, wanted)
+    check_effect(wanted, configuration)
     with watching() as observer:
         report = preview(
             maps,

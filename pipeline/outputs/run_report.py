@@ -195,14 +195,14 @@ class RunReport(BaseModel):
     def summary(self) -> str:
         """Return the lines printed at the end of a run."""
         removed = self.counts["dynamic"]
-        share = 100 * removed / self.points if self.points else 0.0
+        share = share_of(removed, self.points) if removed else "0.0 %"
         kept = ", ".join(
             f"{count:,} {label}"
             for label, count in self.counts.items()
             if count and label != "dynamic"
         )
         lines = [
-            f"{removed:,} of {self.points:,} points removed ({share:.1f} %)",
+            f"{removed:,} of {self.points:,} points removed ({share})",
             f"kept: {kept or 'nothing'}",
         ]
         if not self.system.startswith("none, metres"):

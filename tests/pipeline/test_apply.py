@@ -215,7 +215,9 @@ def test_what_cannot_be_applied_is_refused_in_one_line(map_file, tmp_path):
         with pytest.raises(ConfigurationError, match=message):
             applied(tmp_path / "out", None, wanted)
     cleaned(map_file, tmp_path / "auto", "removal.decision=auto")
-    with pytest.raises(ConfigurationError, match=r"max_percent has no effect .* give --confidence"):
+    with pytest.raises(
+        ConfigurationError, match=r"max_percent has no effect .* give removal.confidence"
+    ):
         applied(tmp_path / "auto", None, ["removal.max_percent=30"])
     cleaned(map_file, tmp_path / "short", "output.labels=false")
     with pytest.raises(OutputError, match=r"found none; run again with --labels"):

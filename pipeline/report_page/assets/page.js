@@ -88,7 +88,8 @@
     const value = !byScore ? percentage : isOwn ? facts.confidence : 1 - percentage / 100;
     byId("percentage-value").textContent = rounded(value) + (byScore ? "" : " %");
     byId("removed-count").textContent = written(removed);
-    byId("removed-share").textContent = `points, ${share.toFixed(1)} % of the map,`;
+    const percent = removed && share < 0.1 ? "under 0.1" : share.toFixed(1);
+    byId("removed-share").textContent = `points, ${percent} % of the map,`;
     byId("removed-kind").textContent = isOwn ? "removed in this run" : "would be removed";
     const least = isOwn ? facts.min_percent : percentage * facts.min_ratio;
     const wanted = byScore ? `removal.confidence=${rounded(value)}`
