@@ -75,6 +75,8 @@ def view_command(
         view_with_open3d(folder)
     else:
         view_result(folder, save)
+        if save is not None:
+            typer.echo(f"written: {printable_path(save)}; rerun {printable_path(save)} opens it")
 
 
 def simulate_command(

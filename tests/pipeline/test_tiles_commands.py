@@ -390,7 +390,7 @@ class TestStatusAndClean:
         code, text, _ = call("status", failed)
         assert code == 0
         tiles = len(list((failed / WORK / "tiles/chunks").iterdir()))
-        assert f"{failed}: not running" in text
+        assert f"{failed}: not running; the command that began it goes on" in text
         assert re.search(rf"^ground +{tiles} tasks done$", text, re.MULTILINE)
         assert re.search(
             rf"^density +{tiles - 1} of {tiles} tasks done, 1 failed, 0 waiting", text, re.MULTILINE
