@@ -47,9 +47,11 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
             'numpy.column_stack([points["x"], points["y"], points["z"]])'
         )
     if array.ndim != 2 or array.shape[1] != 3:
+        names = ", ".join(_column_names(points))[:_LONGEST]
+        hint = f": name x, y and z among its columns ({names})" if names else ""
         raise InvalidPointsError(
             f"points: expected an (N, 3) array, found shape {array.shape}"
-            f"{remedy(array.shape, 'points')}"
+            f"{hint or remedy(array.shape, 'points')}"
         )
     if array.dtype.kind not in "fiu":
         hint = ": pass points.astype(float)" if array.dtype.kind == "O" else ""

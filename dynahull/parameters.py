@@ -218,27 +218,76 @@ def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:
     """
     errors = invalid.errors()
     error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])
-    place = ".".join(str(part) for part in error["loc"]) or "parameters"
-    if error["type"] != "extra_forbidden":
-        message = error["msg"].removeprefix("Value error, ")
-        found = "" if isinstance(error["input"], dict) else f", found {error['input']!r}"
-        return f"{place}: {message[:1].lower()}{message[1:]}{found}"
-    allowed = _allowed_keys(error["loc"][:-1], model)
-    near = get_close_matches(str(error["loc"][-1]), allowed, n=1, cutoff=0.4)
+    where = error["loc"]
+    if error["type"] == "extra_forbidden":
+        return f"{_path(where)}: no such key; {_hint(where, model)}"
+    if error["type"] == "model_type":
+        keys = ", ".join(_allowed_keys(where, model))
+        return f"{_path(where)}: expected a section of keys ({keys}), found {error['input']!r}"
+    # pydantic names the kinds that a value may have as if they were keys.
+    place = _without_kinds(where, model)
+    message = error["msg"].removeprefix("Value error, ")
+    words = [
+        f"or {each['ctx']['expected']}"
+        for each in errors[1:]
+        if each["type"] == "literal_error" and _without_kinds(each["loc"], model) == place
+    ]
+    told = ", ".join([f"{message[:1].lower()}{message[1:]}", *words])
+    found = "" if isinstance(error["input"], dict) else f", found {error['input']!r}"
+    return f"{_path(place) or 'parameters'}: {told}{found}"
+
+
+def _path(place: Sequence[int | str]) -> str:
+    return ".".join(map(str, place))
+
+
+def _hint(place: Sequence[int | str], model: type[BaseModel]) -> str:
+    """Say which keys are allowed, and which one was meant: the nearest, or one of this name."""
+    *sections, name = place
+    allowed = _allowed_keys(sections, model)
+    named = [path for path in _all_keys(model) if path.rpartition(".")[2] == name]
+    alike = get_close_matches(str(name), allowed, n=1, cutoff=0.4)
+    near = alike or named if sections else named or alike
     hint = f"did you mean {near[0]}? " if near else ""
-    return f"{place}: no such key; {hint}allowed: {', '.join(allowed)}"
+    return f"{hint}allowed: {', '.join(allowed)}"
+
+
+def _all_keys(model: type[BaseModel]) -> list[str]:
+    """Return the keys of a model and of the sections in it: `removal.max_percent`."""
+    keys = []
+    for name in model.model_fields:
+        inner = _section([name], model)
+        keys += [f"{name}.{key}" for key in _all_keys(inner)] if inner else [name]
+    return keys
+
+
+def _without_kinds(place: Sequence[int | str], model: type[BaseModel]) -> tuple[int | str, ...]:
+    """Return a place without what is neither a key nor the number of an item."""
+    kept: list[int | str] = []
+    for part in place:
+        if isinstance(part, int) or part in _allowed_keys(kept, model):
+            kept.append(part)
+    return tuple(kept)
 
 
 def _allowed_keys(sections: Sequence[int | str], model: type[BaseModel]) -> list[str]:
+    section = _section(sections, model)
+    return list(section.model_fields) if section else []
+
+
+def _section(sections: Sequence[int | str], model: type[BaseModel]) -> type[BaseModel] | None:
+    """Return the model of a section within another's; None where there is none."""
     for section in sections:
         if isinstance(section, int):  # of a list, whose model is known
             continue
+        if section not in model.model_fields:
+            return None
         inner = model.model_fields[section].annotation
         candidates = [inner, *get_args(inner)]
         models = [
             each for each in candidates if isinstance(each, type) and issubclass(each, BaseModel)
         ]
         if not models:
-            return []
+            return None
         model = models[0]
-    return list(model.model_fields)
+    return model

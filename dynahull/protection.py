@@ -25,14 +25,25 @@ class Area(BaseModel, extra="forbid", frozen=True):
             raise ValueError("an area has rings of at least three corners")
         if not np.isfinite([corner for ring in self.rings for corner in ring]).all():
             raise ValueError("corners of an area are finite numbers")
+        if self.low is not None and self.high is not None and not self.low <= self.high:
+            raise ValueError(f"low ({self.low:g}) is above high ({self.high:g})")
         return self
 
     @classmethod
     def box(cls, low: Sequence[float], high: Sequence[float]) -> "Area":
-        """Return the box between two corners, (x, y) or (x, y, z)."""
+        """Return the box between two opposite corners, (x, y) or (x, y, z)."""
         (x0, y0), (x1, y1) = low[:2], high[:2]
-        heights = {"low": low[2], "high": high[2]} if len(low) > 2 else {}
+        heights = {}
+        if len(low) > 2:
+            heights["low"], heights["high"] = sorted((low[2], high[2]))
         return cls(rings=(((x0, y0), (x1, y0), (x1, y1), (x0, y1)),), **heights)
+
+    def reaches(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
+        """Tell whether its bounds meet a box, two corners (3,)."""
+        corners = np.concatenate([np.array(ring) for ring in self.rings])
+        own_low = [*corners.min(axis=0), -np.inf if self.low is None else self.low]
+        own_high = [*corners.max(axis=0), np.inf if self.high is None else self.high]
+        return bool((high >= own_low).all() and (low <= own_high).all())
 
     def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which points lie in it, (n,), by the even-odd rule."""

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.checking import cloud_points
+from dynahull.errors import InvalidPointsError
 from dynahull.labels import Label
 
 NO_CLUSTER = -1
@@ -87,7 +89,17 @@ class CleaningResult:
         ----------
         given : as given to `clean`
             A cloud of Open3D, data of laspy, a table, a tensor or an array; a list gives an array.
+
+        Raises
+        ------
+        InvalidPointsError
+            When it has another number of points.
         """
+        found = len(given.points if hasattr(given, "points") else cloud_points(given))
+        if found != len(self.labels):
+            raise InvalidPointsError(
+                f"given: expected the {len(self.labels)} points that were cleaned, found {found}"
+            )
         if hasattr(given, "select_by_index"):
             return given.select_by_index(self.indices.tolist())
         if hasattr(type(given), "xyz") and hasattr(given, "points"):

@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from dynahull.checking import valid_points
 from dynahull.labels import Label
 from dynahull.protection import Area
 from dynahull.removal import removal_percentages, remove_likely
 from dynahull.result import NO_CLUSTER, ClusterSummary
 from pipeline.areas import areas_of_voxels
+from pipeline.configuration.effect import check_effect
 from pipeline.configuration.run import Configuration, load_configuration
-from pipeline.eligibility import PROTECTED, marks
+from pipeline.eligibility import PROTECTED, check_parts, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
 from pipeline.outputs.folder import OutputNames, output_folder
 from pipeline.outputs.map_sample import MapSample, is_sampled
@@ -86,7 +88,7 @@ def decide_again(
     Raises
     ------
     ConfigurationError
-        When a setting or a number is not one that can be applied.
+        When a setting or a number is not one that can be applied, or has no effect.
     OutputError
         When the folder holds no result with all scores.
     InputChangedError
@@ -155,6 +157,7 @@ def _configured(
         raise ConfigurationError(
             "removal.decision: the run weighed no evidence; run again with -c auto"
         )
+    check_effect(settings, given)
     if given.removal.protect_classes and not all("LA" in file.format for file in report.files):
         raise ConfigurationError("removal.protect_classes expects a LAS map with classes")
     return given
@@ -273,7 +276,11 @@ class _Decision:
         removed = np.zeros(len(counts), np.int64)
         found = np.zeros(len(Label), np.int64)
         self._observer.stage("deciding", self._collection.point_count)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for file, batch in self._collection.batches():
+            seen = batch.xyz[valid_points(batch.xyz)]
+            low = np.minimum(low, seen.min(axis=0, initial=np.inf))
+            high = np.maximum(high, seen.max(axis=0, initial=-np.inf))
             rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
             safe = marks(batch, configuration) == PROTECTED
             labels, cluster = kept["label"][rows], kept["cluster"][rows]
@@ -284,6 +291,7 @@ class _Decision:
             removed += np.bincount(cluster[dynamic], minlength=len(counts))
             self._take(file, batch, rows, safe)
             self._observer.advance(len(batch.xyz))
+        check_parts(low, high, configuration, self._observer)
         clusters = tuple(
             ClusterSummary(
                 each.index,

@@ -30,12 +30,15 @@ def read_areas(path: Path) -> list[Area]:
         When the file cannot be read, or holds anything else.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         is_json = text.lstrip().startswith("{")
         areas = list(_of_json(json.loads(text)) if is_json else _of_text(text))
     except OSError as error:
         raise ConfigurationError(f"{path}: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, ValidationError, RecursionError) as error:
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise ConfigurationError(f"{path}: expected polygons or boxes: {reason}") from None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ConfigurationError(f"{path}: expected polygons or boxes, found {error}") from None
     if not areas:
         raise ConfigurationError(f"{path}: expected polygons or boxes, found none")
@@ -91,7 +94,11 @@ def _of_json(found: dict[str, Any]) -> Iterator[Area]:
             for feature in found["features"]:
                 yield from _of_json(feature)
         case "Feature":
-            yield from _of_json(found["geometry"])
+            if found["geometry"] is not None:  # RFC 7946: a feature that is nowhere
+                yield from _of_json(found["geometry"])
+        case "GeometryCollection":
+            for geometry in found["geometries"]:
+                yield from _of_json(geometry)
         case "Polygon":
             yield _area(found["coordinates"])
         case "MultiPolygon":

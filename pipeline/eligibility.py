@@ -16,6 +16,7 @@ from dynahull.progress import Observer
 from dynahull.protection import protected_points
 from dynahull.strays import Outskirts, Strays, is_at_origin
 from pipeline.configuration.run import Configuration, InputParameters
+from pipeline.errors import ConfigurationError
 from tiling.collection import MapCollection
 from tiling.formats.points import PointBatch
 from tiling.survey import Survey, merge, survey_batches
@@ -72,13 +73,51 @@ def warn_of_left_out(count: int, parameters: InputParameters, observer: Observer
     """Say how many points are left out, if any are."""
     if count:
         classes = ", ".join(map(str, parameters.leave_out))
-        marks = [f"of class {classes}"] if classes else []
+        marks = ["outside the window"] if parameters.has_window else []
+        marks += [f"of class {classes}"] if classes else []
         marks += ["withheld"] if parameters.leave_out_withheld else []
-        marks += ["outside the window"] if parameters.has_window else []
         points = "1 point is" if count == 1 else f"{count:,} points are"
+        keys = "input.window, input.leave_out" if parameters.has_window else "input.leave_out"
         observer.warn(
             f"{points} {' or '.join(marks)}: left out of the decision, labelled unscored, kept in "
-            "place (input.leave_out)"
+            f"place ({keys})"
+        )
+
+
+def check_parts(
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    configuration: Configuration,
+    observer: Observer,
+) -> None:
+    """Refuse a window in which no point can be, and warn of areas in which none can be.
+
+    Parameters
+    ----------
+    low, high : (3,) float64 arrays
+        Bounds of the points that take part, metres.
+    configuration : Configuration
+    observer : Observer
+
+    Raises
+    ------
+    ConfigurationError
+        Where the map does not reach the window.
+    """
+    parameters = configuration.input
+    ends = zip("xyz", low, high, strict=True)
+    bounds = ", ".join(f"{axis} from {least:,.2f} to {most:,.2f} m" for axis, least, most in ends)
+    if parameters.has_window and not parameters.reaches(low, high):
+        found = bounds if (low <= high).all() else f"none within {RIM:g} m of it"
+        raise ConfigurationError(
+            f"input.window, input.height: expected points in the window, found {found}"
+        )
+    areas = configuration.removal.protect
+    missed = sum(not area.reaches(low, high) for area in areas)
+    if missed and (low <= high).all():
+        observer.warn(
+            f"{missed} of {len(areas)} areas to protect lie where the map is not ({bounds}): "
+            "nothing is kept by them; they are in the map's own frame, metres, not in degrees"
         )
 
 

@@ -13,7 +13,7 @@ from dynahull.evidence.range_images import draw_images
 from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.configuration.run import Configuration
-from pipeline.eligibility import LEFT_OUT, PROTECTED, marks, warn_of_left_out
+from pipeline.eligibility import LEFT_OUT, PROTECTED, check_parts, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import PointScores
@@ -43,9 +43,13 @@ def clean_in_memory(
     source = find_scans(collection, configuration, observer) if removal.weighs_evidence else None
     observer.stage("reading", collection.point_count)
     points, classes, marked, scan = _read(collection, configuration, source, observer)
-    unwanted = marked == LEFT_OUT
-    count = int(np.count_nonzero(unwanted & valid_points(points)))
+    unwanted, valid = marked == LEFT_OUT, valid_points(points)
+    count = int(np.count_nonzero(unwanted & valid))
     warn_of_left_out(count, configuration.input, observer)
+    if configuration.input.has_window or removal.protect:
+        within = points[valid & ~unwanted]
+        low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
+        check_parts(low, high, configuration, observer)
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
     for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)

@@ -80,7 +80,9 @@ def _write_in_parts(
     They grow in the work folder, where a run that goes on finds what is done of them.
     """
     plan = plan_parts(job)
-    exhaust(do_stage(job, executor, observer, "write", [len(part.rows) for part in plan.parts]))
+    if plan.parts:
+        rows = [len(part.rows) for part in plan.parts]
+        exhaust(do_stage(job, executor, observer, "write", rows))
     finish_parts(job, plan)
     for file in plan.points:
         growing = growing_outputs(job, file, len(outputs[file]))

@@ -8,12 +8,12 @@ from pathlib import Path
 from dynahull.evidence.viewpoints import MOST_VIEWPOINTS
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
-from pipeline.eligibility import survey_map
+from pipeline.eligibility import check_parts, survey_map
 from pipeline.errors import OutputError
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.plan import check_plan, draw_plan, make_plan
-from pipeline.plan.resources import check_one_tile, is_one_tile, one_tile_memory
+from pipeline.plan.resources import check_one_tile, check_workers, is_one_tile, one_tile_memory
 from pipeline.progress import StageObserver
 from pipeline.replacing import refuse_own_folders
 from pipeline.scan_numbers import find_scans
@@ -59,6 +59,7 @@ def plan_map(
     observer.stage("survey", collection.point_count)
     surveyed, _ = survey_map((batch for _, batch in collection.batches()), configuration)
     observer.finish()
+    check_parts(surveyed.minimum, surveyed.maximum, configuration, observer)
     one_tile = is_one_tile(collection, configuration)
     if one_tile:
         tiling = {"max_points": max(collection.point_count, 1)}
@@ -110,6 +111,7 @@ def tile_map(
     """
     paths = find_map_files(maps)
     refuse_own_folders(output, paths)
+    check_workers(configuration)
     output.mkdir(parents=True, exist_ok=True)
     work = output / WORK_FOLDER
     try:

@@ -93,25 +93,30 @@ class LogDisplay(Display):
     def __init__(self) -> None:
         self._stage, self._total, self._done = "", 0, 0
         self._begun = self._said = 0.0
+        self._seen = False
 
     def begin(self, stage: str, total: int) -> None:
         """Log the stage."""
-        self._stage, self._total, self._done = stage, total, 0
+        self._stage, self._total, self._done, self._seen = stage, total, 0, False
         self._begun = self._said = monotonic()
         logger.info("%s: %s points", stage, f"{total:,}")
 
     def update(self, done: int) -> None:
-        """Log the rate since the last line and the time left, if that is some seconds old."""
-        now = monotonic()
-        if now - self._said < _LINE_EVERY or not done:
+        """Log the rate since the last line and the time left, if that is some seconds old.
+
+        What comes first after such a time tells no rate: code was compiled meanwhile.
+        """
+        if not done:
+            return
+        now, is_first, self._seen = monotonic(), not self._seen, True
+        if now - self._said < _LINE_EVERY:
             return
         rate = max(done - self._done, 1) / (now - self._said)
         self._said, self._done = now, done
         left = max(self._total - done, 0) / rate
         share = min(done / self._total, 1.0) if self._total else 1.0
-        logger.info(
-            "%s: %.0f %%, %s points/s, %.0f s left", self._stage, 100 * share, f"{rate:,.0f}", left
-        )
+        more = "" if is_first else f", {rate:,.0f} points/s, {left:.0f} s left"
+        logger.info("%s: %.0f %%%s", self._stage, 100 * share, more)
 
     def end(self) -> None:
         """Log the time the stage took."""

@@ -56,12 +56,14 @@ def refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[Pa
 
 
 def refuse_own_folders(folder: Path, inputs: Iterable[Path]) -> None:
-    """Refuse inputs within folders that a run empties, and links in the place of such folders.
+    """Refuse inputs within folders that a run empties, links in their place, a file as the folder.
 
     Raises
     ------
     OutputError
     """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: expected a folder for the results, found a file")
     places = [folder / name for name in HIDDEN]
     for place in places:
         if place.is_symlink():

@@ -20,7 +20,13 @@ from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.thinning import write_thinned
 from pipeline.outputs.writing import CleanedMap, write_labels
 from pipeline.plan.machine import available_cores
-from pipeline.plan.resources import check_one_tile, check_space, is_one_tile, output_size
+from pipeline.plan.resources import (
+    check_one_tile,
+    check_space,
+    check_workers,
+    is_one_tile,
+    output_size,
+)
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.report_page.charts import TileWork
@@ -69,7 +75,12 @@ def run(
     one_tile = is_one_tile(collection, configuration, begun=work.exists() and not fresh)
     if one_tile:
         check_one_tile(collection, configuration)
+    else:
+        check_workers(configuration)
     _warn_of_what_is_lost(collection, observer)
+    weighs = configuration.removal.weighs_evidence
+    if configuration.input.poses and not (collection.is_moved or weighs):
+        observer.warn("input.poses has no effect where removal.decision is paper: see -c auto")
     check_mode(collection.readers, configuration)
     names = OutputNames.of_run(collection.readers, configuration.output)
     results = names.all_files(configuration.output)

@@ -85,7 +85,9 @@ class RunStatus(BaseModel):
     def to_text(self) -> str:
         """Return the lines that `status` prints."""
         untold = self.state == "running" and not self.stages
-        state = "running; a map of one tile shows no stages" if untold else self.state
+        more = {"running": "; a map of one tile shows no stages" if untold else ""}
+        more["not running"] = "; the command that began it goes on"
+        state = self.state + more.get(self.state, "")
         lines = [] if self.state == "waiting" else [f"{printable(self.folder)}: {state}"]
         return "\n".join(
             [*self.jobs, *lines, *(line for each in self.stages for line in each.lines())]

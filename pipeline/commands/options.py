@@ -23,7 +23,9 @@ MAPS = typer.Argument(
 Maps = Annotated[list[str], MAPS]
 Output = Annotated[
     str | None,
-    typer.Option("-o", "--output", metavar="DIR", help="Output folder. [default: <map>_dynahull]"),
+    typer.Option(
+        "-o", "--output", metavar="DIR", help="Output folder.", show_default="<map>_dynahull"
+    ),
 ]
 ConfigurationSource = Annotated[
     str | None,
@@ -31,7 +33,7 @@ ConfigurationSource = Annotated[
         "-c",
         "--config",
         metavar="CONFIG.yaml",
-        help="Configuration file, or one of: paper, auto, indoor, outdoor.",
+        help="Configuration file, or one of: paper (default), auto, indoor, outdoor, slurm.",
     ),
 ]
 Settings = Annotated[

@@ -61,6 +61,7 @@ def run_command(
 
     A run that was interrupted goes on where it was when the same command is given again.
     """
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
@@ -74,6 +75,7 @@ def run_command(
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     configuration = load_configuration(config, wanted)
+    check_effect(wanted, configuration)
     check_encryption(configuration, tls)
     with telling_how_to_go_on(), watching() as observer:
         report = run(named, Path(output) if output else None, configuration, observer, fresh=fresh)
@@ -84,7 +86,9 @@ def apply_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
     output: Annotated[
         str | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder. [default: the run's own]"),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Output folder.", show_default="the run's own"
+        ),
     ] = None,
     confidence: Annotated[
         float | None,
@@ -133,6 +137,7 @@ def submit_command(
 ) -> None:
     """Hand a whole run over to a batch system; `status` and `cancel` follow it by its folder."""
     from pipeline.cluster.submitting import run_script, submit_run  # noqa: PLC0415
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
 
@@ -141,6 +146,7 @@ def submit_command(
     wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
     named = named_maps(maps, scans)
     configuration = load_configuration(config, wanted)
+    check_effect(wanted, configuration)
     place = Path(output) if output else None
     if dry_run:
         typer.echo(run_script(named, place, configuration, fresh=fresh), nl=False)
@@ -163,7 +169,9 @@ def preview_command(
     maps: Maps,
     output: Annotated[
         str | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder. [default: <map>_preview]"),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Output folder.", show_default="<map>_preview"
+        ),
     ] = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
@@ -191,6 +199,7 @@ def preview_command(
 
     The part is a typical place of the map, unless a window is given; a small map is cleaned whole.
     """
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
     from pipeline.configuration.run import load_configuration  # noqa: PLC0415
     from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.preview import preview  # noqa: PLC0415
@@ -202,6 +211,7 @@ def preview_command(
     chosen = _chosen_window(window, centre, size, thin)
     wanted = [*(settings or []), *part_settings(None, height, protect)]
     configuration = load_configuration(config, wanted)
+    check_effect(wanted, configuration)
     with watching() as observer:
         report = preview(
             maps,

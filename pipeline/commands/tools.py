@@ -35,7 +35,15 @@ def verify_command(
     from tiling.errors import TilingError  # noqa: PLC0415
 
     failed = False
-    for folder in [each for given in folders for each in find_results(given)]:
+    found: list[Path] = []
+    for given in folders:
+        try:
+            found += find_results(given)
+        except PipelineError:
+            if len(folders) == 1:
+                raise
+            found.append(given)  # the others are verified all the same
+    for folder in found:
         try:
             typer.echo(f"verified: {printable_path(folder)}: {verify(folder)}")
         except (PipelineError, TilingError, OSError) as error:
@@ -67,6 +75,8 @@ def view_command(
         view_with_open3d(folder)
     else:
         view_result(folder, save)
+        if save is not None:
+            typer.echo(f"written: {printable_path(save)}; rerun {printable_path(save)} opens it")
 
 
 def simulate_command(

@@ -18,18 +18,18 @@ _SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 
 def _bytes(value: object) -> object:
-    """Turn text like `1.5 GiB` into bytes; anything else is left to be refused."""
+    """Turn text like `1.5 GiB` into bytes."""
     if not isinstance(value, str):
         return value
     match = re.fullmatch(r"([0-9.]+)\s*([a-z]*)", value.strip().lower())
     try:
-        return int(float(match[1]) * _UNITS[match[2]]) if match else value
-    except (ValueError, KeyError):
-        return value
+        return int(float(match[1]) * _UNITS[match[2]])  # type: ignore[index]
+    except (TypeError, ValueError, KeyError):
+        raise ValueError("expected a size such as 2GiB") from None
 
 
 def _seconds(value: object) -> object:
-    """Turn `2-12:00:00`, `36:00:00` or `90 min` into seconds; anything else is left to be refused.
+    """Turn `2-12:00:00`, `36:00:00` or `90 min` into seconds.
 
     YAML reads 36:00:00 without quotes as 129600, which is the same.
     """
@@ -41,7 +41,7 @@ def _seconds(value: object) -> object:
         return ((days * 24 + hours) * 60 + minutes) * 60 + seconds
     if plain := re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)\s*(s|min|h|d)", text):
         return round(float(plain[1]) * _SECONDS[plain[2]])
-    return value
+    raise ValueError("expected a duration such as 90 min or 36:00:00")
 
 
 Bytes = Annotated[int, Field(ge=1), BeforeValidator(_bytes)]

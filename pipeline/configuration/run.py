@@ -188,7 +188,6 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
     leave_out_withheld: bool = Field(
         True, description="The same of points with the flag `withheld`: deleted, as LAS has it."
     )
-
     window: tuple[float, float, float, float] | None = Field(
         None,
         description="x0, y0, x1, y1, metres: what lies elsewhere is kept as it is. Points within "
@@ -200,9 +199,10 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        ends = [*zip(self._low, self._high, strict=True)]
-        if any(not low < high for low, high in ends):
-            raise ValueError("window and height go from less to more, as x0 < x1")
+        for axis, low, high in zip("xyz", self._low, self._high, strict=True):
+            if not low < high:
+                found = f"{axis} from {low:g} to {high:g}"
+                raise ValueError(f"window and height go from less to more, found {found}")
         return self
 
     @property
@@ -217,6 +217,10 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
     def has_window(self) -> bool:
         """Whether a part of the map is cleaned alone."""
         return self.window is not None or self.height is not None
+
+    def reaches(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
+        """Tell whether a box, two corners (3,), meets the window."""
+        return bool((high >= self._low).all() and (low < self._high).all())
 
     def in_window(self, xyz: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.bool_]:
         """Tell which points lie in the window, or within a margin of it: low <= x, y, z < high."""
@@ -323,8 +327,10 @@ def load_parameters(model: type[Model], source: str | None, settings: Sequence[s
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        problem = validation_message(error, model)
-        raise ConfigurationError(f"{source or 'configuration'}: {problem}") from None
+        if settings:
+            load_parameters(model, source)  # where the file itself is wrong, it says so
+        named = "configuration" if settings or not source else source
+        raise ConfigurationError(f"{named}: {validation_message(error, model)}") from None
 
 
 def _is_section(field: FieldInfo) -> bool:
@@ -349,7 +355,8 @@ def _read_yaml(path: Path) -> dict[str, Any]:
             "found no such file"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: expected a YAML file, found {error}") from None
+        found = "a folder" if path.is_dir() else error
+        raise ConfigurationError(f"{path}: expected a YAML file, found {found}") from None
     except _NOT_YAML as error:
         mark = getattr(error, "problem_mark", None)
         place = f" at line {mark.line + 1}" if mark else ""

@@ -78,9 +78,8 @@ def evaluate(
             options = options.model_copy(update={"emd_points": 0})
     if options.emd_points:
         counts = {name: each.collection.point_count for name, each in sources.items()}
-        check_transport(
-            options.emd_points, counts["cleaned"], counts.get("truth") or counts["original"]
-        )
+        reference = "truth" if "truth" in counts else "original"
+        check_transport(options.emd_points, counts["cleaned"], counts[reference])
     _check_disk([source.collection for source in sources.values()])
     with TemporaryDirectory(prefix="evaluate-", dir=temporary_folder()) as name:
         folder = Path(name)

@@ -89,6 +89,7 @@ class MapLine(BaseModel, frozen=True):
     """The page to look at, relative to the output folder."""
     points: int | None = None
     removed: int | None = None
+    warnings: list[str] = []
     """Of that result."""
     seconds: float | None = None
     """That this night took for the map."""
@@ -337,6 +338,7 @@ class Minutes:
             report=self._relative(report_page(latest)) if latest else None,
             points=report.get("points"),
             removed=report.get("counts", {}).get("dynamic"),
+            warnings=[printable(each) for each in report.get("warnings", [])],
             seconds=None if seconds is None else round(seconds, 1),
         )
 

@@ -183,28 +183,21 @@ class RunReport(BaseModel, frozen=True):
     def summary(self) -> str:
         """Return the lines printed at the end of a run."""
         removed = self.counts["dynamic"]
-        share = 100 * removed / self.points if self.points else 0.0
+        share = share_of(removed, self.points) if removed else "0.0 %"
         kept = ", ".join(
             f"{count:,} {label}"
             for label, count in self.counts.items()
             if count and label != "dynamic"
         )
         lines = [
-            f"{removed:,} of {self.points:,} points removed ({share:.1f} %)",
+            f"{removed:,} of {self.points:,} points removed ({share})",
             f"kept: {kept or 'nothing'}",
         ]
         if not self.system.startswith("none, metres"):
             lines.append(f"coordinates: {self.system}")
         if self.time not in (None, "none"):
             lines.append(f"time: {self.time}")
-        if self.clusters:
-            lines.append(f"{'cluster':>9}{'points':>14}{'R_i':>9}{'threshold':>14}{'removed':>12}")
-        for cluster in self.clusters:
-            threshold = "-" if cluster.threshold is None else f"{cluster.threshold:.4g}"
-            lines.append(
-                f"{cluster.index:>9}{cluster.count:>14,}{cluster.removal_percent:>7.2f} %"
-                f"{threshold:>14}{cluster.removed:>12,}"
-            )
+        lines += self._by_cluster()
         folder = Path(self.output)
         names = [name for file in self.files for name in file.outputs]
         names += [name for name in self.outputs if Path(name).parts[0].startswith("thinned")]
@@ -217,6 +210,17 @@ class RunReport(BaseModel, frozen=True):
             "written: " + ", ".join(printable(path) for path in [*written, folder / RUN_FILE])
         )
         return "\n".join([*lines, *self.verdict()])
+
+    def _by_cluster(self) -> list[str]:
+        """Return a table of what each cluster lost; `auto` looks at no R_i and no threshold."""
+        equation = self.configuration["removal"]["decision"] == "paper"
+        titles = f"{'R_i':>9}{'threshold':>14}" if equation else ""
+        lines = [f"{'cluster':>9}{'points':>14}{titles}{'removed':>12}"] if self.clusters else []
+        for cluster in self.clusters:
+            threshold = "-" if cluster.threshold is None else f"{cluster.threshold:.4g}"
+            shares = f"{cluster.removal_percent:>7.2f} %{threshold:>14}" if equation else ""
+            lines.append(f"{cluster.index:>9}{cluster.count:>14,}{shares}{cluster.removed:>12,}")
+        return lines
 
     def verdict(self) -> list[str]:
         """Return what was decided, in a line or two."""

@@ -18,6 +18,7 @@ from pipeline.plan.resources import (
     EVIDENCE_BYTES,
     TILE_BYTES,
     check_space,
+    more_memory,
     output_size,
     tile_budget,
     worker_memory_limit,
@@ -237,7 +238,7 @@ def check_plan(plan: Plan, configuration: Configuration, folder: Path) -> None:
         raise PlanError(
             f"a worker would take {in_units(plan.worker_memory)} for the largest tile "
             f"({largest:,} points with its halo) and has {in_units(memory)}: "
-            "choose a smaller tiling.max_points or tiling.halo, or fewer execution.workers"
+            f"choose a smaller tiling.max_points or tiling.halo, or {more_memory(configuration)}"
         )
     check_space(folder, plan.disk, plan.output_size, configuration.output.keep_free)
 

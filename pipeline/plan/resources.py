@@ -8,7 +8,7 @@ from dynahull.ground.reach import ground_radius
 from pipeline.configuration.quantities import in_units
 from pipeline.configuration.run import Configuration, is_elsewhere
 from pipeline.errors import DiskSpaceError, PlanError
-from pipeline.plan.machine import available_memory
+from pipeline.plan.machine import available_cores, available_memory
 from tiling.collection import MapCollection
 
 BASE_BYTES = 350 << 20
@@ -164,6 +164,34 @@ def one_tile_memory(collection: MapCollection, configuration: Configuration) -> 
     memory = configuration.execution.memory
     free = available_memory() if memory == "auto" else memory
     return BASE_BYTES + images + each * collection.point_count, free
+
+
+def more_memory(configuration: Configuration) -> str:
+    """Say what gives a worker more memory."""
+    if is_elsewhere(configuration) and configuration.execution.scheduler is None:
+        return "more cluster.memory"
+    given = configuration.execution.memory != "auto"
+    return "more execution.memory" if given else "fewer execution.workers"
+
+
+def check_workers(configuration: Configuration) -> None:
+    """Refuse workers of this machine that could not begin: they would be stopped over and over.
+
+    Raises
+    ------
+    PlanError
+        In one line: what a worker takes before it has read a point, and what there is.
+    """
+    workers = available_cores(configuration.execution.workers)
+    alone = configuration.execution.cluster == "none" or workers == 1
+    if alone or is_elsewhere(configuration):
+        return
+    memory = worker_memory_limit(configuration, workers)
+    if memory < BASE_BYTES:
+        raise PlanError(
+            f"a worker takes {in_units(BASE_BYTES)} before it has read a point, and has "
+            f"{in_units(memory)}: choose {more_memory(configuration)}"
+        )
 
 
 def worker_memory_limit(configuration: Configuration, workers: int) -> int:

@@ -180,7 +180,7 @@ def _figures(report: RunReport) -> list[tuple[str, str, str]]:
 
 
 def _percent(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.1f} %" if whole else "0 %"
+    return share_of(part, whole) if part else "0 %"
 
 
 def _seconds(seconds: float) -> str:

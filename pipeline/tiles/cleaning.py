@@ -20,8 +20,8 @@ from dynahull.warn import (
     warn_of_much_removed,
     warn_of_sparse_map,
 )
-from pipeline.eligibility import survey_of_others
-from pipeline.errors import PlanError
+from pipeline.eligibility import check_parts, survey_of_others
+from pipeline.errors import ConfigurationError, PlanError
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.scan_numbers import find_scans
@@ -157,11 +157,12 @@ def plan_tiles(
             if job.scan_source is not None:
                 _keep_viewpoints(job)
         warn_of_set_aside(job, observer)
+        check_parts(survey.minimum, survey.maximum, job.configuration, observer)
         viewpoints = None if job.viewpoints is None else len(job.viewpoints.places)
         workers = executor.workers
         plan = make_plan(job.collection, survey, job.configuration, workers, viewpoints)
         check(plan)
-    except (PlanError, GridError):
+    except (ConfigurationError, PlanError, GridError):
         # Refused: there is nothing to go on with.
         remove_work(job.root)
         raise

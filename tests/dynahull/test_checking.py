@@ -52,6 +52,7 @@ REFUSED = {
     "a set": (lambda: {1.0, 2.0}, "of type set"),
     "a tensor": (Tensor, "Can't call numpy"),
     "four columns": (lambda: np.ones((9, 4)), r"points\[:, :3\]"),
+    "a table without x": (lambda: table(["a", "y", "z"]).assign(i=1), "name x, y and z among"),
     "the wrong way round": (lambda: np.ones((3, 600)), r"points\.T"),
     "organised": (lambda: np.ones((8, 9, 3)), r"points\.reshape\(-1, 3\)"),
     "structured": (structured, "numpy.column_stack"),
@@ -128,6 +129,8 @@ def test_arrays_and_lists_are_given_back():
     result = clean(POINTS, FAST)
     np.testing.assert_array_equal(result.cleaned(POINTS), POINTS[result.kept])
     np.testing.assert_array_equal(result.cleaned(POINTS.tolist()), POINTS[result.indices])
+    with pytest.raises(InvalidPointsError, match=r"expected the 300 points .* found 299"):
+        result.cleaned(POINTS[1:])
 
 
 TAKEN = {

@@ -210,9 +210,15 @@ def test_what_cannot_be_applied_is_refused_in_one_line(map_file, tmp_path):
     for wanted, message in [
         (["neighbours.k=20"], "neighbours: expected settings of removal, output, execution"),
         (["removal.decision=auto"], "run again with -c auto"),
+        (["removal.confidence=0.7"], "removal.confidence has no effect .* is paper: give removal"),
     ]:
         with pytest.raises(ConfigurationError, match=message):
             applied(tmp_path / "out", None, wanted)
+    cleaned(map_file, tmp_path / "auto", "removal.decision=auto")
+    with pytest.raises(
+        ConfigurationError, match=r"max_percent has no effect .* give removal.confidence"
+    ):
+        applied(tmp_path / "auto", None, ["removal.max_percent=30"])
     cleaned(map_file, tmp_path / "short", "output.labels=false")
     with pytest.raises(OutputError, match=r"found none; run again with --labels"):
         applied(tmp_path / "short", None)
@@ -244,6 +250,23 @@ def test_an_area_holds_what_lies_in_its_polygon(seed, corners, shift):
     np.testing.assert_array_equal(found[clear], (inside & (xyz[:, 2] <= 2.0))[clear])
 
 
+@pytest.mark.parametrize("tiles", [[], TILES])
+def test_a_window_where_the_map_is_not_is_refused_and_such_areas_are_told(
+    map_file, tmp_path, tiles
+):
+    with pytest.raises(ConfigurationError, match="points in the window, found none within 10 m"):
+        cleaned(map_file, tmp_path / "out", "input.window=[900, 900, 910, 910]", *tiles)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(ConfigurationError, match=r"in the window, found x from .* 29.* m, y"):
+        cleaned(map_file, tmp_path / "out", "input.window=[31, 0, 40, 9]", *tiles)
+    elsewhere = Area.box([900, 0], [901, 1]).model_dump_json()
+    here = Area.box([0, 0, 1], [9, 9, 0]).model_dump_json()
+    report = cleaned(map_file, tmp_path / "out", f"removal.protect=[{elsewhere}, {here}]", *tiles)
+    assert any("1 of 2 areas to protect lie where the map is not" in w for w in report.warnings)
+    again = applied(tmp_path / "out", None, protect=[Area.box([-9, -9], [-8, -8])])
+    assert any("2 of 3 areas to protect" in warning for warning in again.warnings)
+
+
 def test_areas_come_as_geojson_wkt_and_boxes(tmp_path):
     square = [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]
     feature = {
@@ -251,15 +274,18 @@ def test_areas_come_as_geojson_wkt_and_boxes(tmp_path):
         "properties": {},
         "geometry": {"type": "Polygon", "coordinates": [square]},
     }
+    nowhere = {"type": "Feature", "properties": {}, "geometry": None}
     texts = {
         "a.geojson": json.dumps({"type": "FeatureCollection", "features": [feature]}),
         "b.wkt": "MULTIPOLYGON (((0 0, 2 0, 2 2, 0 2, 0 0)))",
         "c.txt": "# a box\n0 0 2 2\n",
-        "d.txt": "0, 0, -9, 2, 2, 9",
+        "d.txt": "0, 0, 9, 2, 2, -9",
+        "e.geojson": "\ufeff" + json.dumps({"type": "GeometryCollection", "geometries": [feature]}),
+        "f.geojson": json.dumps({"type": "FeatureCollection", "features": [feature, nowhere]}),
     }
     points = np.array([[1.0, 1.0, 0.0], [3.0, 1.0, 0.0], [1.0, 1.0, 20.0]])
     for name, text in texts.items():
-        (tmp_path / name).write_text(text)
+        (tmp_path / name).write_text(text, encoding="utf-8")
         (area,) = read_areas(tmp_path / name)
         assert area.holds(points).tolist() == [True, False, name != "d.txt"]
     for text in (
@@ -270,8 +296,9 @@ def test_areas_come_as_geojson_wkt_and_boxes(tmp_path):
         "POLYGON ((a b, 1 1, 2 2))",
     ):
         (tmp_path / "bad").write_text(text)
-        with pytest.raises(ConfigurationError, match="expected polygons or boxes"):
+        with pytest.raises(ConfigurationError, match="expected polygons or boxes") as error:
             read_areas(tmp_path / "bad")
+        assert "pydantic" not in str(error.value)
 
 
 def test_a_window_is_refused_the_wrong_way_round():

@@ -225,6 +225,14 @@ def test_the_key_that_is_missing_beside_another_is_named(map_file, call_here):
     assert "set removal.min_percent as well, to no more than 3" in done.stderr
 
 
+@pytest.mark.parametrize("command", ["run", "preview"])
+def test_a_setting_that_nothing_looks_at_is_refused(command, map_file, call_here):
+    done = call_here(command, map_file, "--set", "removal.confidence=0.7")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: removal.confidence has no effect")
+    assert "run with -c auto" in done.stderr
+
+
 def test_plan_and_status_as_json(map_file, call_here):
     settings = ["--set", "ground.method=none", "--set", "neighbours.k=20"]
     plan = json.loads(call_here("plan", map_file, *settings, "--json").stdout)

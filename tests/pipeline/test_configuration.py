@@ -69,7 +69,7 @@ def test_settings_win_over_the_file_and_the_last_wins(tmp_path):
         ("removal: {threshold: best}", "removal.threshold: input should be 'rank' or 'stepped'"),
         ("- a\n- b", "expected sections with keys, found"),
         ("a: [1", "expected YAML, found .* at line 1"),
-        ("neighbours: 5", "neighbours: input should be a valid dictionary"),
+        ("neighbours: 5", r"neighbours: expected a section of keys \(k\), found 5"),
     ],
 )
 def test_mistakes_in_a_file_are_one_line(text, message, tmp_path):
@@ -88,11 +88,28 @@ def test_mistakes_in_a_file_are_one_line(text, message, tmp_path):
         ("neighbours.n=5", "neighbours.n: no such key"),
         ("neighbours.k=[1", "expected a YAML value"),
         ("max_height.k=1", "max_height"),
+        ("k=50", r"k: no such key; did you mean neighbours\.k\?"),
+        ("confidence=0.7", r"did you mean removal\.confidence\?"),
+        ("execution.workers=0", "execution.workers: input .* equal to 1, or 'auto', found 0"),
+        ("execution.memory=lots", "execution.memory: expected a size such as 2GiB, or 'auto'"),
+        ("cluster.walltime=long", "cluster.walltime: expected a duration such as 90 min"),
+        ("removal.protect=[{rings: 3}]", "removal.protect.0.rings: input"),
     ],
 )
 def test_mistakes_in_a_setting_are_one_line(setting, message):
     with pytest.raises(ConfigurationError, match=message):
         load_configuration(None, ["max_height=2", setting])
+
+
+def test_what_a_setting_does_to_a_file_is_not_laid_at_its_door(tmp_path):
+    good, bad = write(tmp_path, "removal: {min_percent: 4}"), tmp_path / "bad.yaml"
+    with pytest.raises(ConfigurationError, match=r"^configuration: removal: min_percent \(4\)"):
+        load_configuration(good, ["removal.max_percent=3"])
+    bad.write_text("removal: {min_percent: 40}", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"bad.yaml: removal: min_percent \(40\)"):
+        load_configuration(str(bad), ["removal.confidence=0.3"])
+    with pytest.raises(ConfigurationError, match="expected a YAML file, found a folder"):
+        load_configuration(str(tmp_path))
 
 
 DESIGN = """

@@ -129,7 +129,10 @@ def test_an_input_elsewhere_in_the_output_folder_is_fine(tmp_path):
 
 def test_a_file_in_the_folder_s_place_is_refused(tmp_path):
     (tmp_path / "out").write_text("a file", encoding="utf-8")
-    with pytest.raises(OutputError, match="out: "), output_folder(tmp_path / "out", RESULTS):
+    with (
+        pytest.raises(OutputError, match="out: expected a folder"),
+        output_folder(tmp_path / "out", RESULTS),
+    ):
         pass
 
 

@@ -105,6 +105,15 @@ def test_poses_of_another_recording_are_refused(tmp_path, fields, poses, message
         found(path, write_poses(tmp_path / "poses.txt", **poses))
 
 
+@pytest.mark.parametrize(("decision", "warned"), [("paper", True), ("auto", False)])
+def test_poses_that_nothing_looks_at_are_told_of(tmp_path, decision, warned):
+    path, poses = write_map(tmp_path / "map.npz", scan=SCAN), write_poses(tmp_path / "poses.txt")
+    wanted = [f"input.poses={poses}", "output.report=none", "ground.method=none"]
+    configuration = load_configuration(decision, wanted)
+    report = run([path], tmp_path / "out", configuration, StageObserver(LogDisplay()))
+    assert any("input.poses has no effect" in each for each in report.warnings) == warned
+
+
 @settings(deadline=None)
 @given(
     poses=st.lists(st.integers(0, 10**6), min_size=1, max_size=30),

@@ -46,6 +46,16 @@ def test_a_log_gets_lines_now_and_then_with_rate_and_time_left(clock, caplog):
     assert len(lines) == 5
 
 
+def test_the_time_that_compiling_took_foretells_nothing(clock, caplog):
+    caplog.set_level(logging.INFO, "dynahull")
+    display = LogDisplay()
+    display.begin("density", 1000)
+    for done in (20, 40):
+        clock.now += 20.0
+        display.update(done)
+    assert caplog.messages[1:] == ["density: 2 %", "density: 4 %, 1 points/s, 960 s left"]
+
+
 def test_a_stage_of_no_points_divides_by_nothing(clock, caplog):
     caplog.set_level(logging.INFO, "dynahull")
     display = LogDisplay()

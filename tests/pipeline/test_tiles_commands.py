@@ -140,6 +140,23 @@ class TestPlan:
         )
         assert sorted(tmp_path.iterdir()) == before
 
+    @pytest.mark.parametrize("command", ["run", "tile"])
+    def test_workers_that_could_not_begin_are_not_started(
+        self, command, map_file, tmp_path, call, monkeypatch
+    ):
+        started = "pipeline.cluster.choice.local_workers"
+        monkeypatch.setattr(started, lambda *_: pytest.fail("workers were started"))
+        before = sorted(tmp_path.iterdir())
+        wanted = [*SMALL, "execution.workers=2", "execution.memory=2"]
+        monkeypatch.setattr("pipeline.plan.resources.available_cores", lambda _: 2)
+        code, _, errors = call(command, map_file, "-o", "out", wanted=wanted)
+        assert code == 1
+        assert errors == [
+            "error: a worker takes 350.0 MiB before it has read a point, and has 2 bytes: "
+            "choose more execution.memory"
+        ]
+        assert sorted(tmp_path.iterdir()) == before
+
     @pytest.mark.parametrize("command", ["plan", "run"])
     @pytest.mark.parametrize(
         ("setting", "taken", "remedy"),
@@ -373,7 +390,7 @@ class TestStatusAndClean:
         code, text, _ = call("status", failed)
         assert code == 0
         tiles = len(list((failed / WORK / "tiles/chunks").iterdir()))
-        assert f"{failed}: not running" in text
+        assert f"{failed}: not running; the command that began it goes on" in text
         assert re.search(rf"^ground +{tiles} tasks done$", text, re.MULTILINE)
         assert re.search(
             rf"^density +{tiles - 1} of {tiles} tasks done, 1 failed, 0 waiting", text, re.MULTILINE

@@ -75,6 +75,13 @@ def test_a_line_a_map_and_exit_code_1(results, tmp_path, capsys, monkeypatch):
     lines = capsys.readouterr().out.splitlines()
     assert ended.value.code == 1
     assert [line.split(": ")[0] for line in lines] == ["verified"] * 3 + ["NOT VERIFIED"]
+    several = [str(tmp_path / "nowhere"), str(tmp_path / "all" / "a")]
+    monkeypatch.setattr("sys.argv", ["dynahull-pipeline", "verify", *several])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(": ")[0] for line in lines] == ["NOT VERIFIED", "verified"]
     monkeypatch.setattr("sys.argv", ["dynahull-pipeline", "verify", str(results / "map.npy")])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -88,7 +88,8 @@
     const value = !byScore ? percentage : isOwn ? facts.confidence : 1 - percentage / 100;
     byId("percentage-value").textContent = rounded(value) + (byScore ? "" : " %");
     byId("removed-count").textContent = written(removed);
-    byId("removed-share").textContent = `points, ${share.toFixed(1)} % of the map,`;
+    const percent = removed && share < 0.1 ? "under 0.1" : share.toFixed(1);
+    byId("removed-share").textContent = `points, ${percent} % of the map,`;
     byId("removed-kind").textContent = isOwn ? "removed in this run" : "would be removed";
     const least = isOwn ? facts.min_percent : percentage * facts.min_ratio;
     const wanted = byScore ? `removal.confidence=${rounded(value)}`
@@ -186,9 +187,12 @@
     const first = Math.ceil((floor + 1.9) / step);
     let layer = -1;
     for (let bin = first; bin < bins.length; bin++) if (layer < 0 || bins[bin] > bins[layer]) layer = bin;
-    const beneath = bins.slice(Math.ceil((floor + 1) / step), layer - 1);
-    const usual = beneath.length ? beneath.reduce((sum, each) => sum + each, 0) / beneath.length : 0;
-    if (layer < 0 || bins[layer] < 0.03 * facts.count || bins[layer] < 2.5 * usual) return null;
+    const beneath = [...bins.slice(Math.ceil((floor + 1) / step), Math.max(layer - 1, 0))];
+    const usual = beneath.sort((one, other) => one - other)[beneath.length >> 1] || 0;
+    const most = bins[layer];
+    if (layer < 0 || most < 0.03 * facts.count || most < 1.8 * usual) return null;
+    // Where the floor rises, so does the ceiling: its layer is as deep.
+    while (layer > first && bins[layer - 1] > Math.max(1.3 * usual, 0.3 * most)) layer--;
     return facts.low[2] + (layer - 1) * step - 0.1;
   }
   const ceiling = belowCeiling();

@@ -268,6 +268,11 @@ def test_what_does_not_fit_together_is_one_line(scene):
     np.save(scene / "nothing.npy", np.full((3, 3), np.nan))
     with pytest.raises(EvaluationError, match=r"nothing\.npy: expected finite points"):
         figures_of(scene / "nothing.npy", scene / "static.npy")
+    np.save(scene / "empty.npy", np.empty((0, 3)))
+    with pytest.raises(EvaluationError, match=r"empty\.npy: expected finite points"):
+        evaluate_files(
+            str(scene / "empty.npy"), str(scene / "empty.npy"), None, EvaluationOptions()
+        )
     with pytest.raises(ConfigurationError, match="--picture: expected --original"):
         evaluate_files(
             str(cleaned), str(scene / "static.npy"), None, NO_TRANSPORT, picture=scene / "a.png"

@@ -1,5 +1,6 @@
 """The page of the morning: every map is on it, with a link that leads somewhere."""
 
+import json
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from urllib.parse import unquote
@@ -55,6 +56,22 @@ def test_the_report_is_linked_where_there_is_one(place):
     run = place.results(path).latest()
     page = Page((place.output / "index.html").read_text())
     assert f"{run.parent.name}/{run.name}/report.html" in page.links
+
+
+def test_what_a_run_warned_of_is_there_every_morning(place):
+    def warn(request):
+        path = request.output / "run.json"
+        report = json.loads(path.read_text())
+        path.write_text(json.dumps(report | {"warnings": ["half of <it> went"]}))
+
+    place.write("incoming/a.npy", "one")
+    place.cleaner.after = warn
+    for _ in range(2):
+        place.night()
+        page = Page((place.output / "index.html").read_text())
+        assert "warning: half of <it> went" in page.words
+        (line,) = json.loads((place.output / "nightly.json").read_text())["maps"]
+        assert line["warnings"] == ["half of <it> went"]
 
 
 @pytest.mark.parametrize("width", [360, 1280])
