@@ -164,7 +164,7 @@ def test_viewpoints_are_medians_and_those_of_parts_together(seed, parts, most):
         for begin, end in itertools.pairwise(bounds)
     ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(viewpoints, "_MOST", most)
+        patch.setattr(viewpoints, "MOST_VIEWPOINTS", most)
         found = Viewpoints.of_counts(counts[::-1])
         whole = Viewpoints.of_counts([count_coordinates(xyz, scan, 0)])
     assert found.places.tobytes() == whole.places.tobytes()
