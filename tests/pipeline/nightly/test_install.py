@@ -71,7 +71,7 @@ def test_the_command_prints_both_and_installs_nothing(awkward):
     assert crontab_line(load_nightly_settings(awkward), awkward) in done.stdout.splitlines()
     assert "[Service]" in done.stdout
     assert "[Timer]" in done.stdout
-    assert os.listdir(awkward.parent) == ["incoming", "nightly.yaml"]  # noqa: PTH208
+    assert sorted(os.listdir(awkward.parent)) == ["incoming", "nightly.yaml"]  # noqa: PTH208
 
 
 def test_what_was_set_beside_the_file_holds_for_the_nights_as_well(awkward):
