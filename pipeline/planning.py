@@ -9,7 +9,7 @@ from dynahull.evidence.viewpoints import MOST_VIEWPOINTS
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import check_parts, survey_map
-from pipeline.errors import OutputError
+from pipeline.errors import OutputError, PlanError
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.plan import check_plan, draw_plan, make_plan
@@ -41,13 +41,14 @@ def plan_map(
     picture: Path | None,
     *,
     as_json: bool = False,
-) -> str:
+) -> tuple[str, PlanError | None]:
     """Survey a map and return its plan as text, or as JSON; draw it if wanted.
+
+    The second value says why the run would be refused, if it would.
 
     Raises
     ------
     TilingError, PipelineError
-        `PlanError` where the run would be refused.
     """
     workers = available_cores(configuration.execution.workers)
     paths = find_map_files(maps)
@@ -75,14 +76,18 @@ def plan_map(
         with only_showing(str(picture), observer.warn):
             draw_plan(plan, surveyed, picture)
             drawn = f"\ndrawn:             {printable(picture)}"
-    if one_tile:
-        check_one_tile(collection, configuration)
-    else:
-        check_plan(plan, configuration, Path())
+    refused = None
+    try:
+        if one_tile:
+            check_one_tile(collection, configuration)
+        else:
+            check_plan(plan, configuration, Path())
+    except PlanError as error:
+        refused = error
     if as_json:
-        return json.dumps({**plan.figures(), "one_tile": one_tile}, indent=2)
+        return json.dumps({**plan.figures(), "one_tile": one_tile}, indent=2), refused
     told = "\none tile: cleaned in memory, without temporary files" if one_tile else ""
-    return plan.to_text() + told + drawn
+    return plan.to_text() + told + drawn, refused
 
 
 def _viewpoints(

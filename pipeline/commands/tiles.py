@@ -39,8 +39,10 @@ def plan_command(
 
     configuration = load_configuration(config, settings or [])
     with watching() as observer:
-        text = plan_map(maps, configuration, observer, picture, as_json=as_json)
+        text, refused = plan_map(maps, configuration, observer, picture, as_json=as_json)
     typer.echo(text)
+    if refused is not None:
+        raise refused
 
 
 def tile_command(

@@ -74,7 +74,9 @@ def test_a_plan_without_its_picture_is_printed(tmp_path, monkeypatch):
     given = save(tmp_path / "map.npy")
     monkeypatch.setattr(planning, "draw_plan", broken)
     observer = StageObserver(LogDisplay())
-    text = plan_map([str(given)], load_configuration(None, FAST), observer, tmp_path / "plan.png")
+    text, _ = plan_map(
+        [str(given)], load_configuration(None, FAST), observer, tmp_path / "plan.png"
+    )
     assert "drawn" not in text
     assert "400" in text
     assert "plan.png could not be made" in observer.warnings[0]

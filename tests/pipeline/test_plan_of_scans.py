@@ -40,7 +40,10 @@ def configured(*wanted):
 
 def planned(path, *wanted):
     observer = StageObserver(LogDisplay())
-    return json.loads(plan_map([str(path)], configured(*wanted), observer, None, as_json=True))
+    text, refused = plan_map([str(path)], configured(*wanted), observer, None, as_json=True)
+    if refused is not None:
+        raise refused
+    return json.loads(text)
 
 
 def has_room(monkeypatch, free):

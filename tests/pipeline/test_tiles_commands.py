@@ -130,8 +130,10 @@ class TestPlan:
     def test_too_little_memory_is_refused_before_any_work(self, command, map_file, tmp_path, call):
         before = sorted(tmp_path.iterdir())
         output = [] if command == "plan" else ["-o", "out"]
-        code, _, errors = call(command, map_file, *output, wanted=[*SMALL, "execution.memory=1MiB"])
+        wanted = [*SMALL, "execution.memory=1MiB"]
+        code, text, errors = call(command, map_file, *output, wanted=wanted)
         assert code == 1
+        assert ("temporary" in text) == (command == "plan")
         assert len(errors) == 1
         assert re.search(
             r"a worker would take .* MiB .*\d+ points with its halo\) and has 1.0 MiB: choose "
@@ -188,8 +190,9 @@ class TestPlan:
         usage = namedtuple("usage", "total used free")
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10**9, 10**9 - 2000, 2000))
         before = sorted(tmp_path.iterdir())
-        code, _, errors = call(command, map_file, *([] if command == "plan" else ["-o", "out"]))
+        code, text, errors = call(command, map_file, *([] if command == "plan" else ["-o", "out"]))
         assert code == 1
+        assert ("temporary" in text) == (command == "plan")
         assert len(errors) == 1
         assert re.search(r"temporary files .* of results, and 2.0 KiB are free", errors[0])
         assert sorted(tmp_path.iterdir()) == before
