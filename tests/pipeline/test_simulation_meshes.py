@@ -273,6 +273,8 @@ def test_random_parameters_are_drawn_widely_and_again_the_same():
 def test_settings_choose_between_boxes_and_meshes():
     assert isinstance(load_simulation(["scene=street"]), SimulationParameters)
     assert isinstance(load_simulation(["scene=street", "sensor=mid360"]), MeshParameters)
+    with pytest.raises(ConfigurationError, match=r"of indoor, .*street, .*warehouse, found 'moon'"):
+        load_simulation(["scene=moon"])
     assert load_simulation(["scene=garage"]).kind is MeshSceneKind.GARAGE
     with pytest.raises(ConfigurationError, match="vlp16"):
         load_simulation(["scene=office", "sensor=vlp17"])

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.configuration.run import load_parameters
+from pipeline.errors import ConfigurationError
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.scene import SceneKind
 
@@ -162,6 +163,10 @@ def load_simulation(settings: Sequence[str]) -> SimulationParameters | MeshParam
         When a setting is unknown or not allowed.
     """
     pairs = [setting.partition("=") for setting in settings]
+    scenes = [*map(str, SceneKind), *sorted(_ONLY_MESHES)]
+    for key, _, value in pairs:
+        if key == "scene" and value not in {*scenes, *map(str, MeshSceneKind)}:
+            raise ConfigurationError(f"scene: expected one of {', '.join(scenes)}, found {value!r}")
     meshes = any(
         key in ("sensor", "kind") or (key == "scene" and value in _ONLY_MESHES)
         for key, _, value in pairs
