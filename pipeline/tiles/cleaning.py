@@ -54,7 +54,7 @@ from pipeline.workers.executors import Executor
 from tiling.atomic import atomic_file
 from tiling.chunks import ChunkStore, grid_of
 from tiling.collection import MapCollection
-from tiling.errors import GridError
+from tiling.errors import TilingError
 from tiling.ledger import noting
 from tiling.resolution import coarse_step_notes
 from tiling.survey import Survey, merge
@@ -162,7 +162,7 @@ def plan_tiles(
         workers = executor.workers
         plan = make_plan(job.collection, survey, job.configuration, workers, viewpoints)
         check(plan)
-    except (ConfigurationError, PlanError, GridError):
+    except (ConfigurationError, PlanError, TilingError):
         # Refused: there is nothing to go on with.
         remove_work(job.root)
         raise

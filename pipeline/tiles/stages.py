@@ -21,6 +21,7 @@ from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
 from pipeline.work.map_state import check_map
 from pipeline.workers.executors import Executor, Outcome, TaskFailure
+from tiling.errors import TilingError
 from tiling.ledger import noting
 from tiling.output_file import writing_only_into
 
@@ -113,6 +114,8 @@ def do_stage(
 
     Raises
     ------
+    TilingError
+        When the survey, which is the first to read all of a map, finds that it is no map.
     TasksFailedError
         In the end, when tasks failed: which, and why.
     """
@@ -130,8 +133,12 @@ def do_stage(
         yield number, earlier
     state.begin()
     failures: dict[int, str] = {}
+    refused = None
     for number, outcome in _outcomes(job, executor, observer, stage, waiting):
         if isinstance(outcome, TaskFailure):
+            if stage == "survey" and outcome.refuses_map:
+                refused = outcome.reason
+                continue
             advice = "; try a smaller tiling.max_points" if outcome.short_of_memory else ""
             failures[number] = outcome.reason + advice
             state.fail(number, failures[number])
@@ -141,6 +148,8 @@ def do_stage(
         observer.advance(outcome.points)
         yield number, outcome
     state.write()
+    if refused is not None:
+        raise TilingError(refused)
     if failures:
         raise TasksFailedError(_failure_line(stage, failures))
 

@@ -12,6 +12,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from pipeline.work.folder import TaskReport
+from tiling.errors import ChunkError, MapFormatError
 
 _COUNT_EVERY = 5.0
 """Seconds between two counts of the workers: asking the scheduler costs more than a task."""
@@ -28,6 +29,8 @@ class TaskFailure:
     """In one line."""
     short_of_memory: bool = False
     """Whether it would help to do less at a time."""
+    refuses_map: bool = False
+    """Whether the map is not what its format demands."""
 
 
 Task = Callable[[str, int], TaskReport]
@@ -130,7 +133,8 @@ def _guarded(task: Task, folder: str, number: int) -> Outcome:
 def _failure(error: BaseException | None) -> TaskFailure:
     # A worker that goes beyond its memory is killed, and its task with it.
     starved = isinstance(error, MemoryError) or type(error).__name__ == "KilledWorker"
-    return TaskFailure(_reason(error), starved)
+    refused = isinstance(error, MapFormatError) and not isinstance(error, ChunkError)
+    return TaskFailure(_reason(error), starved, refused)
 
 
 def _reason(error: BaseException | None) -> str:

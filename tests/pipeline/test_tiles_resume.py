@@ -361,6 +361,16 @@ def test_a_map_that_cannot_be_read_any_more_is_bad_input(map_file, tmp_path, mon
         cleaned(map_file, tmp_path / "out")
 
 
+@pytest.mark.parametrize("settings", [["execution.workers=1"], ["execution.workers=2"]])
+def test_what_the_survey_finds_to_be_no_map_is_refused_and_nothing_is_left(settings, tmp_path):
+    rows = [f"{row % 20} {row // 20} 1.5\n" for row in range(400)]
+    map_file = tmp_path / "map.xyz"
+    map_file.write_text("".join([*rows, "1 2 lost\n"]), encoding="utf-8")
+    with pytest.raises(TilingError, match="expected a number, found 'lost' at line 401"):
+        cleaned(map_file, tmp_path / "out", *settings)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.fixture
 def half_written(map_file, tmp_path, monkeypatch):
     """An output folder with the work of a run that failed in the second of its output's parts."""
