@@ -203,8 +203,10 @@ def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> No
 
 def _read_parquet(path: Path) -> Chunk:
     chunk = _chunk_in_parquet(path)
-    # Arrow keeps what it freed: as much again as the chunk, all the time that it is worked on.
-    pa.default_memory_pool().release_unused()
+    pool = pa.default_memory_pool()
+    if pool.backend_name != "system":
+        # It keeps what it freed: as much again as the chunk, all the time that it is worked on.
+        pool.release_unused()
     return chunk
 
 

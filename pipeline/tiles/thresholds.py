@@ -15,22 +15,30 @@ from dynahull.removal import removable_count, removal_count, stepped_quartiles, 
 
 _STEP = 16
 
+_FEW = 1 << 20
+"""Numbers that are looked at together: 8 MiB."""
+
 
 def order_statistic(batches: Iterable[NDArray[np.float64]], rank: int) -> float:
     """Return the number of a rank, from zero, of more numbers than memory holds.
 
     A float64 that is not negative orders like its bits, so each pass finds sixteen more bits of the
-    number: it counts the next sixteen of those that begin with the bits known so far.
+    number: it counts the next sixteen of those that begin with the bits known so far. The last pass
+    is the one that finds few of them.
     """
     prefix, below = 0, 0
     for shift in range(64 - _STEP, -1, -_STEP):
-        counts = np.zeros(1 << _STEP, np.int64)
+        counts, few, found = np.zeros(1 << _STEP, np.int64), [], 0
         for batch in batches:
             bits = _bits(batch)
             if shift + _STEP < 64:
                 bits = bits[bits >> np.uint64(shift + _STEP) == np.uint64(prefix)]
             digits = (bits >> np.uint64(shift)) & np.uint64((1 << _STEP) - 1)
             counts += np.bincount(digits.astype(np.intp), minlength=len(counts))
+            found += len(bits)
+            few = [*few, bits] if found <= _FEW else []
+        if found <= _FEW:
+            return float(np.sort(np.concatenate(few))[rank - below].view(np.float64))
         totals = below + np.cumsum(counts)
         digit = int(np.searchsorted(totals, rank, side="right"))
         below = int(totals[digit] - counts[digit])

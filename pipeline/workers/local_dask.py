@@ -43,6 +43,7 @@ _LOCAL = ONE_THREAD | {
     "MALLOC_ARENA_MAX": "1",
     "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
     "MALLOC_TRIM_THRESHOLD_": str((1 << 31) - 1),
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
 }
 """Environment of a worker of this machine."""
 

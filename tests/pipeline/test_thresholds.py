@@ -1,6 +1,7 @@
 """The cuts found over tiles are those of the whole array, to the last bit and row."""
 
 from fractions import Fraction
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahull.removal import remove_least_dense
+from pipeline.tiles import thresholds
 from pipeline.tiles.thresholds import find_cuts, order_statistic
 
 
@@ -40,9 +42,10 @@ def tiles_of(cluster, density, rows, pieces, seed):
     st.sampled_from(["scattered", "tied", "wide"]),
     st.sampled_from(["rank", "stepped"]),
     st.sampled_from([1, 3, 1 << 40]),
+    st.sampled_from([0, 20, 300]),
 )
 def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
-    seed, size, count, pieces, kind, threshold, spacing
+    seed, size, count, pieces, kind, threshold, spacing, few
 ):
     random = np.random.default_rng(seed)
     density = {
@@ -58,7 +61,8 @@ def test_cuts_over_tiles_remove_what_removal_on_the_array_removes(
     percentages = [Fraction(int(share), 10) for share in random.integers(0, 1001, count)]
 
     tiles = tiles_of(cluster, density, rows, pieces, seed)
-    cuts = find_cuts(tiles, counts, percentages, threshold)
+    with patch.object(thresholds, "_FEW", few):
+        cuts = find_cuts(tiles, counts, percentages, threshold)
 
     for index, cut in enumerate(cuts):
         members = cluster == index
@@ -92,4 +96,5 @@ def test_no_tiles_and_no_clusters(threshold):
 def test_the_number_of_a_rank_is_that_of_a_sort(numbers, data):
     rank = data.draw(st.integers(0, len(numbers) - 1))
     batches = np.array_split(np.array(numbers), 3)
-    assert order_statistic(batches, rank) == sorted(numbers)[rank]
+    with patch.object(thresholds, "_FEW", data.draw(st.sampled_from([0, 5, 40]))):
+        assert order_statistic(batches, rank) == sorted(numbers)[rank]
