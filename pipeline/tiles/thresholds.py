@@ -28,7 +28,8 @@ def order_statistic(batches: Iterable[NDArray[np.float64]], rank: int) -> float:
     """
     prefix, below = 0, 0
     for shift in range(64 - _STEP, -1, -_STEP):
-        counts, few, found = np.zeros(1 << _STEP, np.int64), [], 0
+        counts, found = np.zeros(1 << _STEP, np.int64), 0
+        few: list[NDArray[np.uint64]] = []
         for batch in batches:
             bits = _bits(batch)
             if shift + _STEP < 64:
