@@ -4,6 +4,7 @@ A point falls into the same voxel whatever else is in the map, and what is summe
 the voxels of a map are those of its parts, added up, to the last bit.
 """
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar, Self
@@ -23,7 +24,7 @@ FARTHEST_CELL = 2.0**30
 
 
 class Voxels(Summary):
-    """The occupied voxels of a lattice, each once, and sums over the points in each.
+    """The occupied voxels of a lattice in the order of their cells, and sums over their points.
 
     What is summed are integers, so that no order of adding them changes a bit.
     """
@@ -46,8 +47,8 @@ class Voxels(Summary):
             In any order; a cell may come many times.
         values : (n, C) int64 array
         """
-        numbers, firsts = number_cells(cells)
-        return cls(cells[firsts], added(values, numbers, len(firsts), cls.marks))
+        cells, numbers = _in_order(cells)
+        return cls(cells, added(values, numbers, len(cells), cls.marks))
 
     @classmethod
     def merged(cls, parts: Sequence[Self]) -> Self:
@@ -63,13 +64,14 @@ class Voxels(Summary):
 
     def coarser(self) -> tuple[Self, npt.NDArray[np.int32]]:
         """Return the voxels of twice the side, and in which of them each of these lies."""
-        numbers, firsts = number_cells(self.cells >> 1)
-        sums = added(self.sums, numbers, len(firsts), self.marks)
-        return type(self)(self.cells[firsts] >> 1, sums), numbers
+        cells, numbers = _in_order(self.cells >> 1)
+        return type(self)(cells, added(self.sums, numbers, len(cells), self.marks)), numbers
 
-    def around(self) -> Integers:
-        """Return the sums over the 3 x 3 x 3 voxels about each voxel, (V, C)."""
-        return _sums_around(self.cells, self.sums, self.cells, self.table, self.marks)
+    def around(self, wanted: npt.NDArray[np.bool_] | None = None) -> Integers:
+        """Return sums over the 3 x 3 x 3 voxels about each that is wanted, else zeros, (V, C)."""
+        if wanted is None:
+            wanted = np.ones(len(self), np.bool_)
+        return _sums_around(self.cells, self.sums, wanted, self.marks)
 
     def connected(self) -> npt.NDArray[np.intp]:
         """Return the group of each voxel, (V,): those that touch, by a corner at least, are one."""
@@ -132,6 +134,29 @@ def number_cells(cells: Cells) -> tuple[npt.NDArray[np.int32], Integers]:
     return numbers, firsts[:count].copy()
 
 
+def _in_order(cells: Cells) -> tuple[Cells, npt.NDArray[np.int32]]:
+    """Return the cells that come, each once and in order, and which of them each that came is."""
+    order = _order_of(cells)
+    ordered = cells[order]
+    is_new = np.ones(len(cells), np.bool_)
+    is_new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    numbers = np.empty(len(cells), np.int32)
+    numbers[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], numbers
+
+
+def _order_of(cells: Cells) -> npt.NDArray[np.intp]:
+    """Return where the cells are that come first, second and so on."""
+    if not len(cells):
+        return np.zeros(0, np.intp)
+    low = cells.min(axis=0).astype(np.int64)
+    spans = cells.max(axis=0) - low + 1
+    if math.prod(spans.tolist()) >= 2**63:
+        return np.lexsort(cells.T[::-1])
+    i, j, k = (cells - low).T
+    return np.argsort((i * spans[1] + j) * spans[2] + k)
+
+
 @compiled
 def added(values: Integers, numbers: npt.NDArray[np.int32], count: int, marks: int) -> Integers:
     """Add up rows of values by number, and unite the bits of the last columns, (count, C)."""
@@ -181,22 +206,46 @@ def find_cell(i: int, j: int, k: int, cells: Cells, table: npt.NDArray[np.int32]
 
 @compiled
 def _sums_around(
-    centres: Cells, sums: Integers, cells: Cells, table: npt.NDArray[np.int32], marks: int
+    cells: Cells, sums: Integers, wanted: npt.NDArray[np.bool_], marks: int
 ) -> Integers:
-    around = np.zeros((len(centres), sums.shape[1]), np.int64)
+    """Add up the sums of voxels that touch, each pair of them once."""
+    around = np.zeros(sums.shape, np.int64)
     added = sums.shape[1] - marks
-    for centre in range(len(centres)):
-        i, j, k = centres[centre, 0], centres[centre, 1], centres[centre, 2]
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                for dk in range(-1, 2):
-                    number = find_cell(i + di, j + dj, k + dk, cells, table)
-                    if number >= 0:
-                        for column in range(added):
-                            around[centre, column] += sums[number, column]
-                        for column in range(added, sums.shape[1]):
-                            around[centre, column] |= sums[number, column]
+    for column in range(4, 9):  # of the nine columns of voxels about one, those not behind it
+        di, dj = column // 3 - 1, column % 3 - 1
+        lowest = 0
+        for one in range(len(cells)):
+            i, j, k = cells[one, 0] + di, cells[one, 1] + dj, cells[one, 2] - 1
+            while lowest < len(cells) and _is_before(cells[lowest], i, j, k):
+                lowest += 1
+            other = one if column == 4 else lowest
+            while (
+                other < len(cells)
+                and cells[other, 0] == i
+                and cells[other, 1] == j
+                and cells[other, 2] <= k + 2
+            ):
+                if wanted[one]:
+                    _add(around[one], sums[other], added)
+                if wanted[other] and other != one:
+                    _add(around[other], sums[one], added)
+                other += 1
     return around
+
+
+@inlined
+def _is_before(cell: Cells, i: int, j: int, k: int) -> bool:
+    if cell[0] != i:
+        return bool(cell[0] < i)
+    return bool(cell[1] < j or (cell[1] == j and cell[2] < k))
+
+
+@inlined
+def _add(sums: Integers, more: Integers, added: int) -> None:
+    for column in range(added):
+        sums[column] += more[column]
+    for column in range(added, len(sums)):
+        sums[column] |= more[column]
 
 
 @compiled

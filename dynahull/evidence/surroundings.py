@@ -95,12 +95,14 @@ class Surroundings:
         blocks += [voxels.sums[:, _OCCUPIED:]]
         here = type(voxels)(voxels.cells, np.concatenate(blocks, axis=1))
         del voxels, blocks  # the sums are most of what a map takes here
-        sums = here.around()
+        # Points that are scored ask for what lies around them, and no others.
+        sums = here.around(here.sums[:, SCORED] > 0)
         levels = []
         for number in range(LEVELS):
             side = FINEST * 2**number
             coarser, parents = here.coarser() if number < LEVELS - 1 else (here, None)
-            further = coarser.around() if parents is not None else sums
+            wanted = coarser.sums[:, SCORED] > 0
+            further = coarser.around(wanted) if parents is not None else sums
             at = np.arange(len(here), dtype=np.int32) if parents is None else parents
             levels.append(
                 Level(
@@ -111,7 +113,7 @@ class Surroundings:
                     shapes_of(here.cells, sums, SCORED, MOMENTS_BEGIN, side)
                     if number < SHAPED_LEVELS
                     else None,
-                    _columns(here.cells, here.table) if number in COLUMN_LEVELS else None,
+                    _columns(here.cells) if number in COLUMN_LEVELS else None,
                     _extremes(here.cells, here.sums, here.table)
                     if number == EXTREME_LEVEL
                     else None,
@@ -143,22 +145,24 @@ def _means(
 
 
 @compiled
-def _columns(cells: Cells, table: npt.NDArray[np.int32]) -> Terms:
+def _columns(cells: Cells) -> Terms:
     columns = np.empty((len(cells), 6), np.float32)
     for v in range(len(cells)):
         for way in range(2):
             step = 1 - 2 * way
             run, gap, count = 0, _STEPS, 0
-            broken = False
-            for away in range(1, _STEPS + 1):
-                if find_cell(cells[v, 0], cells[v, 1], cells[v, 2] + step * away, cells, table) < 0:
-                    broken = True
-                    continue
+            other = v + step
+            while 0 <= other < len(cells):
+                away = step * (cells[other, 2] - cells[v, 2])
+                same = cells[other, 0] == cells[v, 0] and cells[other, 1] == cells[v, 1]
+                if not same or away > _STEPS:
+                    break
                 count += 1
-                if not broken:
+                if away == run + 1:
                     run = away
                 elif gap == _STEPS:
                     gap = away - run - 1
+                other += step
             columns[v, 3 * way] = run
             columns[v, 3 * way + 1] = gap
             columns[v, 3 * way + 2] = count

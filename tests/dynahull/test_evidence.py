@@ -31,7 +31,7 @@ from dynahull.evidence.summaries import (
     summarise_odds,
     summarise_points,
 )
-from dynahull.evidence.surroundings import Surroundings
+from dynahull.evidence.surroundings import Surroundings, _columns
 from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence
 from dynahull.evidence.visits import marks_of, scan_counts
 from dynahull.kernels import hull_densities
@@ -116,12 +116,33 @@ def as_dictionary(voxels):
     return {tuple(cell): tuple(sums) for cell, sums in zip(voxels.cells, voxels.sums, strict=True)}
 
 
-def test_sums_around_a_voxel_are_those_of_its_27():
+@pytest.mark.parametrize("farthest", [4, 2**30])
+def test_sums_around_a_voxel_are_those_of_its_27(farthest):
     random = np.random.default_rng(0)
     cells = random.integers(-4, 4, (200, 3)).astype(np.int32)
+    cells[:50] += np.int32(farthest - 4)
     voxels = Voxels.of(cells, np.ones((200, 1), np.int64))
-    for cell, total in zip(voxels.cells, voxels.around()[:, 0], strict=True):
+    wanted = random.random(len(voxels)) < 0.5
+    assert voxels.cells.tolist() == [list(cell) for cell in sorted(set(map(tuple, cells.tolist())))]
+    some = voxels.around(wanted)[:, 0]
+    for cell, total, asked, found in zip(
+        voxels.cells.astype(np.int64), voxels.around()[:, 0], wanted, some, strict=True
+    ):
         assert total == (np.abs(cells - cell).max(axis=1) <= 1).sum()
+        assert found == (total if asked else 0)
+
+
+def test_columns_tell_of_runs_and_gaps_above_and_below():
+    occupied = {0, 1, 2, 5, 6, 14, 19, 40}
+    cells = np.array([(x, y, z) for x in (0, 1) for y in (-1, 7) for z in occupied], np.int32)
+    voxels = Voxels.of(cells, np.ones((len(cells), 1), np.int64))
+    found = dict(zip(map(tuple, voxels.cells.tolist()), _columns(voxels.cells), strict=True))
+    for (_, _, z), columns in found.items():
+        for step, told in ((1, columns[:3]), (-1, columns[3:])):
+            is_there = [z + step * away in occupied for away in range(1, 17)]
+            run = next((away for away, there in enumerate(is_there) if not there), 16)
+            after = [away for away, there in enumerate(is_there) if there and away > run]
+            assert told.tolist() == [run, after[0] - run if after else 16, sum(is_there)]
 
 
 def test_cells_beyond_all_bounds_are_one():
