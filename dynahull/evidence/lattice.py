@@ -136,25 +136,47 @@ def number_cells(cells: Cells) -> tuple[npt.NDArray[np.int32], Integers]:
 
 def _in_order(cells: Cells) -> tuple[Cells, npt.NDArray[np.int32]]:
     """Return the cells that come, each once and in order, and which of them each that came is."""
-    order = _order_of(cells)
-    ordered = cells[order]
-    is_new = np.ones(len(cells), np.bool_)
-    is_new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    numbers = np.empty(len(cells), np.int32)
-    numbers[order] = np.cumsum(is_new) - 1
-    return ordered[is_new], numbers
+    firsts, numbers = _number_in_order(cells, _order_of(cells))
+    return cells[firsts], numbers
 
 
 def _order_of(cells: Cells) -> npt.NDArray[np.intp]:
     """Return where the cells are that come first, second and so on."""
     if not len(cells):
         return np.zeros(0, np.intp)
-    low = cells.min(axis=0).astype(np.int64)
-    spans = cells.max(axis=0) - low + 1
+    low = np.array([axis.min() for axis in cells.T], np.int64)
+    spans = np.array([axis.max() for axis in cells.T], np.int64) - low + 1
     if math.prod(spans.tolist()) >= 2**63:
         return np.lexsort(cells.T[::-1])
-    i, j, k = (cells - low).T
-    return np.argsort((i * spans[1] + j) * spans[2] + k)
+    return np.argsort(_keys(cells, low, spans))
+
+
+@compiled
+def _keys(cells: Cells, low: Integers, spans: Integers) -> Integers:
+    keys = np.empty(len(cells), np.int64)
+    for n in range(len(cells)):
+        i, j, k = cells[n, 0] - low[0], cells[n, 1] - low[1], cells[n, 2] - low[2]
+        keys[n] = (i * spans[1] + j) * spans[2] + k
+    return keys
+
+
+@compiled
+def _number_in_order(
+    cells: Cells, order: npt.NDArray[np.intp]
+) -> tuple[Integers, npt.NDArray[np.int32]]:
+    firsts = np.empty(len(order), np.int64)
+    numbers = np.empty(len(order), np.int32)
+    count = 0
+    for n in range(len(order)):
+        this, before = order[n], order[n - 1]
+        same = n > 0
+        for axis in range(3):
+            same &= cells[this, axis] == cells[before, axis]
+        if not same:
+            firsts[count] = this
+            count += 1
+        numbers[this] = count - 1
+    return firsts[:count].copy(), numbers
 
 
 @compiled
