@@ -29,7 +29,6 @@ def find_scans(
 
     Parameters
     ----------
-    collection : MapCollection
     configuration : Configuration
         `evidence.time` is used.
     observer : Observer, optional

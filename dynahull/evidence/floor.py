@@ -27,7 +27,6 @@ def floor_terms(
     height : (n,) float64 array
     scale : (n,) float32 array
         Logarithm to base 2 of the length of each neighbourhood, metres.
-    surroundings : Surroundings
     """
     small, middle, large = (
         (level.cells, level.ground, level.table) for level in surroundings.levels[1:4]

@@ -78,12 +78,7 @@ TIMED_KEPT_TERMS = (
 
 @dataclass(frozen=True, slots=True)
 class AskedTerms:
-    """What the two rounds are told.
-
-    Attributes
-    ----------
-    first, second : tuple of str
-    """
+    """What the two rounds are told."""
 
     first: tuple[str, ...]
     second: tuple[str, ...]
@@ -185,7 +180,6 @@ class EvidenceModel:
 
         Parameters
         ----------
-        points : ScoredPoints
         k : int
             Neighbours of each.
         surroundings : Surroundings

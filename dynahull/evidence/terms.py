@@ -91,7 +91,6 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
 
     Parameters
     ----------
-    points : ScoredPoints
     k : int
         Neighbours of each.
     surroundings : Surroundings

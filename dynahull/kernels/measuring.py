@@ -21,7 +21,6 @@ def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
     values : float array
     size : uint64
         How many, as many as fill whole vectors.
-    limit : float
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -53,8 +52,6 @@ def boxes_within(
         Lowest x, y, z and highest x, y, z, as long as whole vectors.
     size : uint64
         How many.
-    place : tuple of three floats
-    squared_distance : float
     result : uint32 array
         Overwritten; a vector longer than the boxes.
     """
@@ -99,8 +96,6 @@ def measure_leaf(
         Coordinates.
     first : uint64
         Index of the first of the 32.
-    place : tuple of three floats
-    limits : tuple of two floats
     distances : float32 array
         Overwritten.
     out : uint64

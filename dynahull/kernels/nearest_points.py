@@ -22,7 +22,6 @@ class NearestSearch:
         Finite, and small enough to square.
     squared_bound : float
         Squared distance beyond which no point is looked for.
-    threads : int
 
     Attributes
     ----------

@@ -47,8 +47,6 @@ class Furnisher:
 
     Parameters
     ----------
-    builder : Builder
-    random : numpy.random.Generator
     ways : sequence of ((n, 2) float64 array, float)
         Points along each way, `_STEP` apart, and the room it needs to either side.
     """
@@ -134,7 +132,6 @@ def ways_of(
 
     Parameters
     ----------
-    walkways : Walkways
     robot_route : (m, 3) float64 array
         Closed, as all of `more` are.
     *more : (m, 3) float64 array, float

@@ -89,10 +89,6 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         What varies from one floor to the next is drawn from it.
     glass : bool, optional
         Whether panes let rays pass; otherwise they are solid walls.
-
-    Returns
-    -------
-    Scene
     """
     plan = _draw_plan(random)
     walkways = _walkways(plan)

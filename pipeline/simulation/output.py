@@ -95,7 +95,6 @@ def write_simulation(
 
     Parameters
     ----------
-    parameters : SimulationParameters or MeshParameters
     folder : Path
         Made if need be. What an earlier simulation left in it is replaced.
     map_only : bool, optional

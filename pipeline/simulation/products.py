@@ -68,7 +68,6 @@ def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]
 
     Parameters
     ----------
-    path : Path
     known : bool
         Write `known` (bool), too: whether `moving` can be told.
 

@@ -56,10 +56,6 @@ def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         What varies from one hall to the next is drawn from it.
     glass : bool, optional
         Whether panes let rays pass; otherwise they are solid walls.
-
-    Returns
-    -------
-    Scene
     """
     walkways = _walkways()
     robot_route = _robot_route()

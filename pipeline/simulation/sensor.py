@@ -74,7 +74,6 @@ def measured_ranges(
         Infinite where a ray meets nothing.
     noise : (n,) float64 array
         Standard normal.
-    parameters : SimulationParameters
     """
     ranges = distance + noise * parameters.range_noise
     if parameters.range_resolution:

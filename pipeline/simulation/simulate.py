@@ -124,7 +124,6 @@ class Drive:
 
     Parameters
     ----------
-    parameters : SimulationParameters
     block : int, optional
         Number of the block.
     duration : float

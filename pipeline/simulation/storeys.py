@@ -43,10 +43,6 @@ def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         What varies from one building to the next is drawn from it.
     glass : bool, optional
         Whether panes let rays pass; otherwise they are solid walls.
-
-    Returns
-    -------
-    Scene
     """
     walkways = _walkways()
     robot_route = _robot_route()

@@ -40,8 +40,6 @@ class MeshMap:
 
     Attributes
     ----------
-    parameters : MeshParameters
-    points : Points
     poses, true_poses : (s, 3, 4) float64 array
         From the sensor's frame to the map's, as estimated and truly.
     """
@@ -54,10 +52,6 @@ class MeshMap:
 
 class Recording:
     """A scene, what moves in it, and the way of the sensor.
-
-    Parameters
-    ----------
-    parameters : MeshParameters
 
     Raises
     ------
@@ -183,7 +177,6 @@ def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[S
 
     Parameters
     ----------
-    parameters : MeshParameters
     static : bool, optional
         Whether to cast all rays once more for what stands alone; otherwise that is left empty.
     """
@@ -203,10 +196,6 @@ def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[S
 
 def simulate_meshes(parameters: MeshParameters) -> MeshMap:
     """Record a scene and make the map.
-
-    Parameters
-    ----------
-    parameters : MeshParameters
 
     Returns
     -------

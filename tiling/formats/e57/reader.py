@@ -34,7 +34,6 @@ class ScanRecords:
 
     Attributes
     ----------
-    scan : int
     rows : (n,) structured array
     """
 
@@ -54,10 +53,6 @@ class ScanRecords:
 
 class E57Reader(MapReader):
     """Reads the scans of an E57 file, one after the other.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------
