@@ -11,11 +11,9 @@ import numpy as np
 from dynahull.progress import Observer
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError
-from pipeline.pose_numbers import numbers_of_poses
 from pipeline.row_order import rows_of_a_scan
-from pipeline.scan_fields import LEAST_SCANS, Tally, candidates, tallies_of
-from pipeline.scan_overlap import Overlap
-from pipeline.scan_source import ScanSource
+from pipeline.scan_fields import LEAST_SCANS, Overlap, Tally, candidates, tallies_of
+from pipeline.scan_source import ScanSource, numbers_of_poses
 from tiling.collection import MapCollection
 from tiling.key_frames import ScanPoses
 
