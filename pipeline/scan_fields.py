@@ -268,7 +268,7 @@ def _tenth_of(name: str, values: NDArray[Any], given: bool) -> float | None:
 
 
 def tallies_of(
-    collection: MapCollection, names: Sequence[str], given: bool, observer: Observer | None
+    collection: MapCollection, names: Sequence[str], given: bool, observer: Observer
 ) -> list[Tally]:
     """Read a map once, and return what it says of some fields."""
     tallies = [Tally(name, len(collection.readers), given) for name in names]
@@ -280,6 +280,5 @@ def tallies_of(
                     tally.add(file, batch.xyz, values)
                 except MapFormatError:  # no fields that can be read apart
                     tally.is_out = True
-        if observer is not None:
-            observer.advance(len(batch.xyz))
+        observer.advance(len(batch.xyz))
     return tallies
