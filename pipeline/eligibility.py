@@ -96,8 +96,6 @@ def check_parts(
     ----------
     low, high : (3,) float64 arrays
         Bounds of the points that take part, metres.
-    configuration : Configuration
-    observer : Observer
 
     Raises
     ------
@@ -138,7 +136,6 @@ class Watcher:
 
     Attributes
     ----------
-    outskirts : Outskirts
     left_out, protected : int
         Points that were marked so.
     """

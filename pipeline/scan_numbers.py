@@ -8,14 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dynahull.progress import Observer
+from dynahull.progress import Observer, SilentObserver
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError
-from pipeline.pose_numbers import numbers_of_poses
 from pipeline.row_order import rows_of_a_scan
-from pipeline.scan_fields import LEAST_SCANS, Tally, candidates, tallies_of
-from pipeline.scan_overlap import Overlap
-from pipeline.scan_source import ScanSource
+from pipeline.scan_fields import LEAST_SCANS, Overlap, Tally, candidates, tallies_of
+from pipeline.scan_source import ScanSource, numbers_of_poses
 from tiling.collection import MapCollection
 from tiling.key_frames import ScanPoses
 
@@ -29,7 +27,6 @@ def find_scans(
 
     Parameters
     ----------
-    collection : MapCollection
     configuration : Configuration
         `evidence.time` is used.
     observer : Observer, optional
@@ -47,6 +44,7 @@ def find_scans(
     MapFormatError
         When a file is not what its header announced.
     """
+    observer = observer or SilentObserver()
     wanted = configuration.evidence.time
     check_time(collection, configuration)
     if wanted == OFF or not collection.point_count:
@@ -58,7 +56,7 @@ def find_scans(
         if apart is not None:
             return apart
     names = candidates(collection) if wanted == AUTO else [wanted]
-    if names and observer is not None:
+    if names:
         observer.stage("times", collection.point_count)
     given = wanted != AUTO or of_map
     found = [
@@ -72,28 +70,23 @@ def find_scans(
         return found[0][1]
     if not given:
         return _of_rows(collection)
-    if observer is not None:
-        observer.warn(
-            f"evidence.time: {wanted} has not the {LEAST_SCANS} different scans, or tenths of "
-            "a second, that tell when points were seen: not used"
-        )
+    observer.warn(
+        f"evidence.time: {wanted} has not the {LEAST_SCANS} different scans, or tenths of a "
+        "second, that tell when points were seen: not used"
+    )
     return None
 
 
-def _of_files(
-    collection: MapCollection, poses: ScanPoses, observer: Observer | None
-) -> ScanSource | None:
+def _of_files(collection: MapCollection, poses: ScanPoses, observer: Observer) -> ScanSource | None:
     """Return the files as the source, or the scans in them if these saw the same places."""
     if poses.counts is None:
         return ScanSource(kind="files", scans=len(poses.poses), name="key frames")
     source = ScanSource(kind="files", scans=len(poses.poses), name="scans of the file")
-    if observer is not None:
-        observer.stage("times", collection.point_count)
+    observer.stage("times", collection.point_count)
     overlap = Overlap()
     for file, batch in collection.batches():
         overlap.add(batch.xyz, source.numbers(collection, file, batch).astype(np.int64))
-        if observer is not None:
-            observer.advance(len(batch.xyz))
+        observer.advance(len(batch.xyz))
     return source if overlap.is_shared() else None
 
 

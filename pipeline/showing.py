@@ -4,11 +4,13 @@ import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from dynahull.extras import install_command
-from pipeline.errors import MissingPackageError, OutputError
+from pipeline.errors import MissingPackageError, OutputError, PipelineError
+from tiling.atomic import atomic_file
 from tiling.foreign_text import escaped as printable
 
 __all__ = [
@@ -16,7 +18,9 @@ __all__ = [
     "drawable",
     "drawing_library",
     "is_text",
+    "named_file",
     "only_showing",
+    "optional_package",
     "printable",
 ]
 
@@ -77,6 +81,22 @@ def check_named_file(path: Path, suffix: str, inputs: Iterable[Path] = ()) -> No
         raise OutputError(f"{path}: this is what is read; choose another name")
 
 
+@contextmanager
+def named_file(path: Path) -> Iterator[Path]:
+    """Write a file that was asked for by its name, and is replaced when it is complete.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    try:
+        with atomic_file(path) as temporary:
+            yield temporary
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror or error}") from error
+
+
 def drawable(picture: Path | None, warn: Callable[[str], None]) -> Path | None:
     """Return where to draw a picture, before any work; None, with a warning, where none can be."""
     if picture is not None:
@@ -89,18 +109,27 @@ def drawable(picture: Path | None, warn: Callable[[str], None]) -> Path | None:
 
 
 def drawing_library() -> Any:
-    """Import Matplotlib.
+    """Import Matplotlib; see `optional_package`."""
+    modules = ("matplotlib", "matplotlib.figure")
+    return optional_package("--picture needs Matplotlib", "plot", "matplotlib", *modules)
+
+
+def optional_package(
+    need: str,
+    extra: str,
+    package: str,
+    *modules: str,
+    refusal: type[PipelineError] = MissingPackageError,
+) -> Any:
+    """Import modules of an optional package, which may take seconds, and return the first.
 
     Raises
     ------
     MissingPackageError
-        When it is not installed.
+        Or another refusal, when it is not installed, or something that it needs is not.
     """
     try:
-        import matplotlib as mpl  # noqa: PLC0415 (optional, and seconds of import time)
-        import matplotlib.figure  # noqa: PLC0415
+        first, *_ = [import_module(module) for module in modules]
     except (ImportError, OSError, RuntimeError) as error:
-        raise MissingPackageError(
-            f"--picture needs Matplotlib: {install_command('plot', 'matplotlib')} ({error})"
-        ) from error
-    return mpl
+        raise refusal(f"{need}: {install_command(extra, package)} ({error})") from error
+    return first

@@ -8,7 +8,6 @@ import logging
 import os
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,13 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.extras import install_command
 from dynahull.labels import Label
-from pipeline.errors import MissingViewerError, OutputError
+from pipeline.errors import MissingViewerError
 from pipeline.outputs.reading import ResultPoints, read_result
-from pipeline.showing import check_named_file
+from pipeline.showing import check_named_file, named_file, optional_package
 from pipeline.temporary import temporary_folder
-from tiling.atomic import atomic_file
 
 LABEL_COLOURS = {
     Label.STATIC: (125, 140, 155),
@@ -69,11 +66,8 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
     if points.density is None:
         logger.info("Colouring by density needs --labels: run again with it.")
     if recording is not None:
-        try:
-            with atomic_file(recording) as temporary:
-                write_recording(rerun, points, folder.name, temporary)
-        except OSError as error:
-            raise OutputError(f"{recording}: {error.strerror or error}") from error
+        with named_file(recording) as file:
+            write_recording(rerun, points, folder.name, file)
         return
     with TemporaryDirectory(prefix="view-", dir=temporary_folder()) as temporary:
         file = Path(temporary) / "result.rrd"
@@ -88,12 +82,9 @@ def view_result(folder: Path, recording: Path | None = None) -> None:
 
 def view_with_open3d(folder: Path) -> None:
     """Open a window of Open3D with the result of a run, coloured by label; see `view_result`."""
-    try:
-        open3d = import_module("open3d")
-    except (ImportError, OSError) as error:
-        raise MissingViewerError(
-            f"view needs Open3D: {install_command('open3d', 'open3d')} ({error})"
-        ) from error
+    open3d = optional_package(
+        "view needs Open3D", "open3d", "open3d", "open3d", refusal=MissingViewerError
+    )
     if not _has_screen():
         raise MissingViewerError(
             "view needs a screen, and found neither DISPLAY nor WAYLAND_DISPLAY"
@@ -107,7 +98,7 @@ def open3d_cloud(open3d: Any, points: ResultPoints) -> Any:
     colours = np.full((256, 3), UNSCORED_COLOUR)
     for label, colour in LABEL_COLOURS.items():
         colours[label] = colour
-    corner = points.xyz.min(axis=0) if len(points.xyz) else np.zeros(3)
+    corner = _corner(points)
     vectors = open3d.utility.Vector3dVector
     cloud = open3d.geometry.PointCloud(vectors(points.xyz - corner))
     cloud.colors = vectors(colours[points.labels] / 255)
@@ -120,7 +111,7 @@ def write_recording(rerun: Any, points: ResultPoints, name: str, path: Path) -> 
     Coordinates are drawn from the lowest corner of the map, since viewers draw in single
     precision; the corner is among the recording's properties.
     """
-    corner = points.xyz.min(axis=0) if len(points.xyz) else np.zeros(3)
+    corner = _corner(points)
     xyz = (points.xyz - corner).astype(np.float32)
     blueprint = rerun.blueprint
     views = [blueprint.Spatial3DView(origin="/label", name="by label")]
@@ -169,14 +160,14 @@ def density_colours(density: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 def _import_rerun() -> Any:
-    try:
-        import rerun  # noqa: PLC0415 (optional, and a second of import time)
-        import rerun.blueprint  # noqa: PLC0415
-    except (ImportError, OSError) as error:
-        raise MissingViewerError(
-            f"view needs Rerun: {install_command('rerun', 'rerun-sdk')} ({error})"
-        ) from error
-    return rerun
+    modules = ("rerun", "rerun.blueprint")
+    return optional_package(
+        "view needs Rerun", "rerun", "rerun-sdk", *modules, refusal=MissingViewerError
+    )
+
+
+def _corner(points: ResultPoints) -> NDArray[np.float64]:
+    return np.asarray(points.xyz.min(axis=0) if len(points.xyz) else np.zeros(3))
 
 
 def _has_screen() -> bool:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pipeline.configuration.run import load_parameters
-from pipeline.evaluation.confusion import DynamicMapAccuracy, Tally
 from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.scoring import DynamicMapAccuracy, Tally
 from pipeline.simulation import SimulationParameters, simulate
 
 __all__ = ["LabelledMap", "labelled_map"]

@@ -12,8 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms
-from dynahull.evidence.pooling import pooled_terms
+from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms, pooled_terms
 from dynahull.evidence.summaries import summarise_odds
 from dynahull.evidence.terms import FALLING, RISING
 

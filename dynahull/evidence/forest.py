@@ -144,7 +144,6 @@ class Forest:
         evidence : (n, len(terms)) float32 array
         groups : (len(terms),) int32 array
             The group of each term, below `count`.
-        count : int
         """
         found = np.zeros((len(evidence), count), np.float32)
         _add_changes(

@@ -151,7 +151,6 @@ def around(voxels: Voxels, low: Floats, high: Floats) -> Voxels:
 
     Parameters
     ----------
-    voxels : Voxels
     low, high : (2,) float64 arrays
         The box in x and y, metres; it may be infinite.
     """

@@ -74,12 +74,7 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """All levels, the finest first.
-
-    Attributes
-    ----------
-    levels : tuple of Level
-    """
+    """All levels, the finest first."""
 
     levels: tuple[Level, ...]
 

@@ -5,7 +5,7 @@ It holds points for a short way, and reads summaries of columns for the rest.
 
 import numpy as np
 
-from dynahull.ground.parameters import GroundParameters, SlopeParameters
+from dynahull.ground.parameters import GroundParameters
 
 FLAT_RADIUS = 2.9
 """Cells; the neighbourhood in which a level must go on to be a floor."""
@@ -25,12 +25,18 @@ def ground_radius(parameters: GroundParameters) -> float | None:
         case "csf":
             return None
         case "slope":
-            return _slope_radius(parameters.slope)
+            p = parameters.slope
+            candidate = FLAT_RADIUS * p.expert.cell
+            if p.clearance is not None:
+                candidate = max(candidate, p.expert.storey_radius)
+            # the windows, end to end
+            return p.expert.extension + 2 * p.window + candidate + np.sqrt(2.0) * p.expert.cell
 
 
 def height_radius(parameters: GroundParameters) -> float:
     """Metres in the plane within which the ground points lie that decide a point's height."""
-    return _height_reach(parameters.slope)
+    expert = parameters.slope.expert
+    return expert.extension + np.sqrt(2.0) * expert.cell
 
 
 def points_around(parameters: GroundParameters, heights: bool, border: float) -> float:
@@ -69,16 +75,3 @@ _WIDER = 1.25
 def _divides(side: float, border: float) -> bool:
     """Tell whether borders of tiles are borders of cells, exactly."""
     return bool(np.frexp(side)[0] == 0.5) and side <= border
-
-
-def _slope_radius(p: SlopeParameters) -> float:
-    """Metres within which all points lie that decide a point's label: the windows, end to end."""
-    candidate = FLAT_RADIUS * p.expert.cell
-    if p.clearance is not None:
-        candidate = max(candidate, p.expert.storey_radius)
-    return p.expert.extension + 2 * p.window + candidate + np.sqrt(2.0) * p.expert.cell
-
-
-def _height_reach(p: SlopeParameters) -> float:
-    """Metres within which all ground points lie that decide a point's height above the ground."""
-    return p.expert.extension + np.sqrt(2.0) * p.expert.cell

@@ -202,11 +202,10 @@ def _share_out(
     on_progress: Callable[[int], None] | None,
 ) -> None:
     """Do all parts, in as many threads; report in this one."""
+    tell = on_progress or (lambda done: None)
     if threads == 1:
         for part in parts:
-            done = work(part)
-            if on_progress:
-                on_progress(done)
+            tell(work(part))
         return
     with ThreadPoolExecutor(threads) as pool:
         waiting = iter(parts)
@@ -218,14 +217,9 @@ def _share_out(
                     continue
                 finished, running = wait(running, return_when=FIRST_COMPLETED)
                 for future in finished:
-                    if on_progress:
-                        on_progress(future.result())
-                    else:
-                        future.result()
+                    tell(future.result())
             for future in running:
-                done = future.result()
-                if on_progress:
-                    on_progress(done)
+                tell(future.result())
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise

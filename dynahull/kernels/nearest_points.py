@@ -1,7 +1,5 @@
 """The nearest points of places anywhere, found in several trees one after the other."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +7,7 @@ from dynahull.kernels.build import make_tree_workspace
 from dynahull.kernels.closest import NO_RANK
 from dynahull.kernels.compilation import kernels
 from dynahull.kernels.tree import make_stack, make_tree
+from dynahull.threads import over_ranges
 
 _PLACES_AT_A_TIME = 20_000
 
@@ -22,7 +21,6 @@ class NearestSearch:
         Finite, and small enough to square.
     squared_bound : float
         Squared distance beyond which no point is looked for.
-    threads : int
 
     Attributes
     ----------
@@ -48,35 +46,18 @@ class NearestSearch:
         slots: NDArray[np.intp] | None = None,
     ) -> None:
         """Let places choose among more points, whose ranks need not differ; all by default."""
-        if slots is None:
-            self._search(points, ranks, self.places, self.squared, self.rank)
-            return
-        squared, rank = self.squared[slots], self.rank[slots]
-        self._search(points, ranks, self.places[slots], squared, rank)
-        self.squared[slots], self.rank[slots] = squared, rank
-
-    def _search(
-        self,
-        points: NDArray[np.float64],
-        ranks: NDArray[np.int64],
-        places: NDArray[np.float64],
-        squared: NDArray[np.float64],
-        rank: NDArray[np.int64],
-    ) -> None:
+        asking = slice(None) if slots is None else slots
+        places, squared, rank = self.places[asking], self.squared[asking], self.rank[asking]
         if not len(points) or not len(places):
             return
         compiled = kernels()
         tree = make_tree(points)
         compiled.build(tree, np.require(ranks, np.int64, ["C", "W"]), make_tree_workspace())
-
-        def find(first: int) -> None:
-            end = min(first + _PLACES_AT_A_TIME, len(places))
-            compiled.find(tree, places, first, end, make_stack(), np.empty(64), squared, rank)
-
-        parts = range(0, len(places), _PLACES_AT_A_TIME)
-        if self._threads == 1 or len(parts) == 1:
-            for part in parts:
-                find(part)
-            return
-        with ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(find, parts))
+        over_ranges(
+            lambda first, end: compiled.find(
+                tree, places, first, end, make_stack(), np.empty(64), squared, rank
+            ),
+            [*range(0, len(places), _PLACES_AT_A_TIME), len(places)],
+            self._threads,
+        )
+        self.squared[asking], self.rank[asking] = squared, rank

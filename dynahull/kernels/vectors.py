@@ -223,7 +223,6 @@ def places_up_to(context: Any, values: Any, begin: Any, limit: Any) -> Any:
     values : float64 array
     begin : uint64
         Index of the first of the 32.
-    limit : float
     """
     return types.uint64(values, begin, limit), _places(lambda value, limit: limit < value)
 

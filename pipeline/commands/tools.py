@@ -1,13 +1,52 @@
 """Looking at maps and results, making maps, and the keys of the configuration."""
 
 import json
+import re
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pipeline.commands.options import MAPS, Poses, Scans, named_maps
 from tiling.foreign_text import printable_path
+
+
+def manual_page(context: Any) -> str:
+    """Return the page of all commands, as roff for `man`.
+
+    Parameters
+    ----------
+    context : typer.Context
+        Of the group of commands.
+    """
+    group, name = context.command, "dynahull-pipeline"
+    lines = [
+        f'.TH {name.upper()} 1 "" "{name} {version(name)}" "User commands"',
+        ".SH NAME",
+        _text(f"{name} - {group.help}"),
+        ".SH SYNOPSIS",
+        _text(f"{name} COMMAND [OPTIONS] ..."),
+        ".SH COMMANDS",
+    ]
+    for title in group.list_commands(context):
+        command = group.get_command(context, title)
+        if command.hidden:
+            continue
+        own = type(context)(command, info_name=title, parent=context)
+        lines += [f'.SS "{_text(" ".join([title, *command.collect_usage_pieces(own)]))}"']
+        lines += [_text(command.help or "")]
+        for parameter in command.params:
+            record = parameter.get_help_record(own)
+            if record is not None:
+                lines += [".TP", f".B {_text(record[0])}", _text(record[1])]
+    return "\n".join([*lines, ".SH EXIT STATUS", _text(group.epilog or "")])
+
+
+def _text(text: str) -> str:
+    """Return text for roff: one line, without what roff takes for its own."""
+    text = re.sub(r"\[/?\w*\]", "", " ".join(text.split()))  # rich's marks
+    return text.replace("\\", "\\e").replace("-", "\\-")
 
 
 def info_command(
@@ -146,8 +185,6 @@ def keys_command() -> None:
 
 def manual_command(context: typer.Context) -> None:
     """Print the manual page: dynahull-pipeline manual > dynahull-pipeline.1, for `man`."""
-    from pipeline.commands.manual import manual_page  # noqa: PLC0415
-
     parent = context.parent
     assert parent is not None  # of the group
     typer.echo(manual_page(parent))

@@ -15,9 +15,8 @@ from pydantic import BaseModel
 
 from dynahull.progress import Observer
 from pipeline.evaluation.earth_mover import EarthMoversDistance, draw_sample, transport_cost
-from pipeline.evaluation.nearest_point import look_up
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.tiled_cloud import TiledCloud
+from pipeline.evaluation.tiled_cloud import TiledCloud, look_up
 
 Distances = NDArray[np.float64]
 """At least one; perhaps a file that is mapped into memory, and more than fits there."""

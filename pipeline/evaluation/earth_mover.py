@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from dynahull.extras import install_command
 from pipeline.configuration.quantities import in_units
-from pipeline.errors import EvaluationError, MissingPackageError, PlanError
+from pipeline.errors import EvaluationError, PlanError
 from pipeline.evaluation.tiled_cloud import TiledCloud
 from pipeline.plan.machine import available_memory
+from pipeline.showing import optional_package
 
 GroundCost = Literal["euclidean", "sqeuclidean"]
 
@@ -82,14 +82,7 @@ def transport_library() -> Any:
     MissingPackageError
         When it is not installed.
     """
-    try:
-        import ot  # noqa: PLC0415 (optional, and seconds of import time)
-    except (ImportError, OSError) as error:
-        raise MissingPackageError(
-            "the Earth Mover's Distance needs POT: "
-            f"{install_command('evaluation', 'POT')} ({error})"
-        ) from error
-    return ot
+    return optional_package("the Earth Mover's Distance needs POT", "evaluation", "POT", "ot")
 
 
 def transport_cost(

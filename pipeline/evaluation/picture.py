@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.progress import Observer
-from pipeline.errors import EvaluationError, OutputError
+from pipeline.errors import EvaluationError
 from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.tiled_cloud import TiledCloud
-from pipeline.showing import drawing_library
-from tiling.atomic import atomic_file
+from pipeline.showing import drawing_library, named_file
 
 MOST_PIXELS, LEAST_PIXELS = 1200, 300
 """On the picture's longer side: many for many points; few points would be lost among them."""
@@ -123,8 +122,5 @@ def draw_picture(scored: TiledCloud, path: Path, observer: Observer) -> None:
         for (name, colour), total in zip(COLOURS.items(), totals.tolist(), strict=True)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
-    try:
-        with atomic_file(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=MOST_PIXELS / 12)
-    except OSError as error:
-        raise OutputError(f"{path}: {error.strerror or error}") from error
+    with named_file(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=MOST_PIXELS / 12)

@@ -10,19 +10,17 @@ from typing import Annotated
 from pydantic import BaseModel, SkipValidation
 from rich.table import Table
 
-from pipeline.errors import ConfigurationError, OutputError
-from pipeline.evaluation.confusion import Confusion, DynamicMapAccuracy
+from pipeline.errors import ConfigurationError
 from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics
 from pipeline.evaluation.earth_mover import EarthMoversDistance
 from pipeline.evaluation.evaluate import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs, find_inputs
 from pipeline.evaluation.options import EvaluationOptions
-from pipeline.evaluation.scoring import Preservation
+from pipeline.evaluation.scoring import Confusion, DynamicMapAccuracy, Preservation
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching
 from pipeline.replacing import RUN_FILE
-from pipeline.showing import check_named_file, drawable
-from tiling.atomic import atomic_file
+from pipeline.showing import check_named_file, drawable, named_file
 from tiling.collection import MapCollection
 
 Row = tuple[str, str, str]
@@ -214,9 +212,6 @@ def evaluate_files(
         figures = evaluate(inputs, options, observer, picture)
     report = EvaluationReport.of(inputs, truth, options, figures, observer)
     if json_file is not None:
-        try:
-            with atomic_file(json_file) as temporary:
-                temporary.write_text(report.to_json(), encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{json_file}: {error.strerror or error}") from error
+        with named_file(json_file) as temporary:
+            temporary.write_text(report.to_json(), encoding="utf-8")
     return report

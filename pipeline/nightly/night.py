@@ -12,7 +12,15 @@ from pathlib import Path
 
 from pipeline.errors import DiskSpaceError, NightLockedError
 from pipeline.nightly.clock import Clock, NightEnd
-from pipeline.nightly.inventory import Problem, find_maps, lacks_dates, learn_content
+from pipeline.nightly.inventory import (
+    Candidate,
+    Problem,
+    find_maps,
+    in_turn,
+    lacks_dates,
+    learn_content,
+    verdict,
+)
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
 from pipeline.nightly.one_map import Cleaner, Ended, Request
 from pipeline.nightly.results import (
@@ -33,7 +41,6 @@ from pipeline.nightly.summary import (
     refuse_to_replace,
     write_index,
 )
-from pipeline.nightly.triage import Candidate, in_turn, verdict
 from pipeline.outputs.folder_lock import folder_is_locked, locked_folder
 from pipeline.plan.resources import check_space
 from pipeline.showing import only_showing, printable
@@ -195,7 +202,7 @@ class _Night:
             candidate.folder,
             reason=reason,
             attempts=record.failure.attempts if record.failure else 0,
-            seconds=self.clock.monotonic() - begun,
+            seconds=round(self.clock.monotonic() - begun, 1),
         )
         # Last: until then the journal on the disk knows of an attempt, of which a night that
         # follows a kill says what was not said.

@@ -3,12 +3,16 @@
 import json
 import logging
 import os
+import re
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -16,7 +20,6 @@ from pipeline.errors import NightlyError
 from pipeline.nightly.clock import Clock, Ending
 from pipeline.nightly.journal import Failure
 from pipeline.nightly.results import MapFolder, begun, report_page, run_report
-from pipeline.nightly.trend import last_nights, thumbnail
 from pipeline.showing import only_showing, printable
 from pipeline.templates import render
 from tiling.atomic import atomic_file
@@ -40,6 +43,11 @@ _NAMED = 5
 """Maps that failed, by name in the last line."""
 
 _MINUTE = "%Y-%m-%d %H:%M UTC"
+
+_MOST_NIGHTS = 30
+_ICON = re.compile(r'<link rel="icon" href="(data:image/png;base64,[A-Za-z0-9+/=]+)">')
+_HEAD = 100_000
+"""Characters of a report within which its picture is."""
 
 _LARGEST = 32 << 20
 """Bytes of `nightly.jsonl` before it is put aside as `nightly.jsonl.1`."""
@@ -212,18 +220,63 @@ def append_line(folder: Path, line: MapLine) -> None:
 def was_cleaned(folder: Path, run: str) -> bool:
     """Tell whether `nightly.jsonl`, or the one before it, says of a result that it was made."""
     # What was said last may have been put aside since.
-    for path in (folder / LINES_FILE, folder / _EARLIER_LINES_FILE):
-        if not path.is_file():
-            continue
+    return any(
+        line.get("outcome") == MapOutcome.CLEANED and line.get("run") == run
+        for name in (LINES_FILE, _EARLIER_LINES_FILE)
+        for line in _lines_of(folder / name)
+    )
+
+
+def _lines_of(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the whole lines of a file that need not be there."""
+    if path.is_file():
         with path.open(encoding="utf-8", errors="replace") as stream:
             for text in stream:
-                try:
-                    line = json.loads(text)
-                except ValueError:  # cut off by a kill
-                    continue
-                if line.get("outcome") == MapOutcome.CLEANED and line.get("run") == run:
-                    return True
-    return False
+                with suppress(ValueError):  # cut off by a kill
+                    yield json.loads(text)
+
+
+@dataclass(slots=True)
+class NightFigures:
+    """Of one night: maps by outcome, points of those that were cleaned, and how many went."""
+
+    night: str
+    maps: Counter[str] = field(default_factory=Counter)
+    points: int = 0
+    removed: int = 0
+
+    @property
+    def total(self) -> int:
+        """Maps that were cleaned or failed."""
+        return self.maps["cleaned"] + self.maps["failed"] + self.maps["no space"]
+
+    @property
+    def share(self) -> float | None:
+        """Percent removed, None where nothing was cleaned."""
+        return 100 * self.removed / self.points if self.points else None
+
+
+def last_nights(lines: Path) -> list[NightFigures]:
+    """Return the figures of the last nights that put something down, the latest last."""
+    nights: dict[str, NightFigures] = {}
+    for line in _lines_of(lines):
+        with suppress(KeyError, TypeError):  # a line of something else
+            of_night = nights.setdefault(line["night"], NightFigures(line["night"]))
+            of_night.maps[line["outcome"]] += 1
+            if line["outcome"] == "cleaned":
+                of_night.points += line.get("points") or 0
+                of_night.removed += line.get("removed") or 0
+    return [nights[night] for night in sorted(nights)][-_MOST_NIGHTS:]
+
+
+def thumbnail(page: Path) -> str | None:
+    """Return the picture that a report carries as its icon, as a data URI."""
+    try:
+        with page.open(encoding="utf-8") as stream:
+            found = _ICON.search(stream.read(_HEAD))
+    except (OSError, ValueError):
+        return None
+    return found[1] if found else None
 
 
 def put_long_file_aside(folder: Path) -> None:
@@ -251,23 +304,14 @@ class Minutes:
                 self._problems.append(message)
                 logger.error(message)
 
-    def say(
-        self,
-        path: Path,
-        outcome: MapOutcome,
-        folder: MapFolder,
-        *,
-        reason: str | None = None,
-        attempts: int = 0,
-        seconds: float | None = None,
-    ) -> None:
-        """Put down what became of a map."""
-        line = self._line(path, outcome, folder, reason, attempts, seconds)
+    def say(self, path: Path, outcome: MapOutcome, folder: MapFolder, **more: Any) -> None:
+        """Put down what became of a map; more of it as `MapLine` has it."""
+        line = self._line(path, outcome, folder, **more)
         self._lines[str(path)] = line
         append_line(self._output, line)
         self._write(self._summary(None, running=True))
         level = logging.WARNING if outcome in FAILURES else logging.INFO
-        why = f" ({printable(reason)})" if reason else ""
+        why = f" ({printable(line.reason)})" if line.reason else ""
         logger.log(level, "%s: %s%s", printable(path), outcome, why)
 
     def mention(self, path: Path, outcome: MapOutcome, folder: MapFolder) -> None:
@@ -316,15 +360,7 @@ class Minutes:
             maps=lines,
         )
 
-    def _line(
-        self,
-        path: Path,
-        outcome: MapOutcome,
-        folder: MapFolder,
-        reason: str | None = None,
-        attempts: int = 0,
-        seconds: float | None = None,
-    ) -> MapLine:
+    def _line(self, path: Path, outcome: MapOutcome, folder: MapFolder, **more: Any) -> MapLine:
         latest = folder.latest()
         report = run_report(latest) if latest is not None else {}
         return MapLine(
@@ -332,14 +368,12 @@ class Minutes:
             time=time_text(self._clock.now()),
             map=str(path),
             outcome=outcome,
-            reason=reason,
-            attempts=attempts,
             run=self._relative(latest) if latest else None,
             report=self._relative(report_page(latest)) if latest else None,
             points=report.get("points"),
             removed=report.get("counts", {}).get("dynamic"),
             warnings=[printable(each) for each in report.get("warnings", [])],
-            seconds=None if seconds is None else round(seconds, 1),
+            **more,
         )
 
     def _relative(self, path: Path) -> str:

@@ -61,10 +61,6 @@ class SimulatedMap:
 def simulate(parameters: SimulationParameters) -> SimulatedMap:
     """Drive through the scene and gather every scan into one map, in memory.
 
-    Parameters
-    ----------
-    parameters : SimulationParameters
-
     Returns
     -------
     SimulatedMap
@@ -89,10 +85,6 @@ def simulate_scans(parameters: SimulationParameters) -> Iterator[SimulatedScan]:
     """Yield the scans of the map one by one, each as it enters the map.
 
     What is held in memory is one scan and one block of scene, whatever the number of points.
-
-    Parameters
-    ----------
-    parameters : SimulationParameters
 
     Raises
     ------

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.construction import Builder, Span
-from pipeline.simulation.scene import Walkways
+from pipeline.simulation.scene import Scene
 
 _TRIES = 60
 _STEP = 0.1  # metres between the points that stand for a way
@@ -47,8 +47,6 @@ class Furnisher:
 
     Parameters
     ----------
-    builder : Builder
-    random : numpy.random.Generator
     ways : sequence of ((n, 2) float64 array, float)
         Points along each way, `_STEP` apart, and the room it needs to either side.
     """
@@ -127,31 +125,20 @@ def route_points(route: NDArray[np.float64], *, closed: bool = True) -> NDArray[
     return np.concatenate([*pieces, corners[-1:, :2]])
 
 
-def ways_of(
-    walkways: Walkways, robot_route: NDArray[np.float64], *more: tuple[NDArray[np.float64], float]
-) -> list[tuple[NDArray[np.float64], float]]:
-    """Return points along all ways, and the room that each needs to either side.
+def ways_of(scene: Scene, *, rounds: bool = True) -> list[tuple[NDArray[np.float64], float]]:
+    """Return points along all ways of a scene, and the room that each needs to either side.
 
-    Parameters
-    ----------
-    walkways : Walkways
-    robot_route : (m, 3) float64 array
-        Closed, as all of `more` are.
-    *more : (m, 3) float64 array, float
-        Further routes, and the room that each needs.
+    With the rounds of the machines and of those who queue, or without.
     """
-    ways = [(route_points(route), room) for route, room in ((robot_route, ROBOT_MARGIN), *more)]
-    for here, onward in zip(walkways.places, walkways.ways, strict=True):
+    routes = [(scene.robot_route, ROBOT_MARGIN)]
+    if rounds:
+        queue = np.concatenate([scene.queue, scene.queue_return[::-1]])
+        routes += [(scene.machine_route, MACHINE_MARGIN), (queue, QUEUE_MARGIN)]
+    ways = [(route_points(route), room) for route, room in routes]
+    for here, onward in zip(scene.walkways.places, scene.walkways.ways, strict=True):
         for place in onward:
-            there = walkways.places[place]
+            there = scene.walkways.places[place]
             corners = np.array([(here.x, here.y), (there.x, there.y)])
             margin = PERSON_MARGIN + np.sqrt(2) * max(here.freedom, there.freedom)
             ways.append((route_points(corners, closed=False), margin))
     return ways
-
-
-def queue_way(
-    queue: NDArray[np.float64], queue_return: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
-    """Return the round of those who queue, and the room that they need."""
-    return np.concatenate([queue, queue_return[::-1]]), QUEUE_MARGIN

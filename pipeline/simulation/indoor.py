@@ -4,7 +4,7 @@ Four rooms lie north of the corridor, and two behind glass to the east of the ha
 walls and doors, chooses and places the furniture, and mirrors the whole. All lengths are in metres.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from pipeline.simulation.construction import Builder, door, glass_wall, passage, window
 from pipeline.simulation.furnishing import (
     DESK,
-    MACHINE_MARGIN,
     MEETING_TABLE,
     PLANT,
     SEATS,
     TABLE,
     Furnisher,
     Room,
-    queue_way,
     ways_of,
 )
 from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
+from pipeline.simulation.shapes import Shapes
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0
@@ -89,36 +88,26 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         What varies from one floor to the next is drawn from it.
     glass : bool, optional
         Whether panes let rays pass; otherwise they are solid walls.
-
-    Returns
-    -------
-    Scene
     """
     plan = _draw_plan(random)
-    walkways = _walkways(plan)
-    queue = on_floor([(_QUEUE_X, _COUNTER_Y - 0.7 - 0.8 * slot) for slot in range(6)])
-    queue_return = on_floor([(_QUEUE_X - 1.4, 8.0), (_QUEUE_X - 1.4, 3.6)])
-    robot_route = _robot_route(plan)
     north, east = plan.hall_north - 3.2, plan.hall_east - 3.1
-    machine_route = on_floor([(3.4, 3.1), (east, 3.1), (east, north), (3.4, north)])
-
-    builder = Builder(glass)
-    _add_walls(builder, plan)
-    rounds = ((machine_route, MACHINE_MARGIN), queue_way(queue, queue_return))
-    furnisher = Furnisher(builder, random, ways_of(walkways, robot_route, *rounds))
-    _furnish_hall(builder, furnisher, plan, random)
-    _furnish_rooms(furnisher, plan, random)
     scene = Scene(
-        shapes=builder.shapes(),
-        walkways=walkways,
-        queue=queue,
-        queue_return=queue_return,
-        robot_route=robot_route,
-        machine_route=machine_route,
+        shapes=Shapes.of(),
+        walkways=_walkways(plan),
+        queue=on_floor([(_QUEUE_X, _COUNTER_Y - 0.7 - 0.8 * slot) for slot in range(6)]),
+        queue_return=on_floor([(_QUEUE_X - 1.4, 8.0), (_QUEUE_X - 1.4, 3.6)]),
+        robot_route=_robot_route(plan),
+        machine_route=on_floor([(3.4, 3.1), (east, 3.1), (east, north), (3.4, north)]),
         machines=(MachineKind.FORKLIFT, MachineKind.AGV),
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )
+    builder = Builder(glass)
+    _add_walls(builder, plan)
+    furnisher = Furnisher(builder, random, ways_of(scene))
+    _furnish_hall(builder, furnisher, plan, random)
+    _furnish_rooms(furnisher, plan, random)
+    scene = replace(scene, shapes=builder.shapes())
     for axis in (0, 1):
         if random.random() < 0.5:
             scene = scene.mirrored(axis)

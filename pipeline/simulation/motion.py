@@ -68,10 +68,6 @@ def drive(
         How long the trajectory must last, in seconds.
     ahead : float, optional
         Share of a lap that is done at time 0.
-
-    Returns
-    -------
-    Trajectory
     """
     legs = np.roll(route, -1, axis=0) - route
     lengths = np.hypot(legs[:, 0], legs[:, 1])

@@ -4,11 +4,15 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import yaml
+from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation.campus import simulate_scans
@@ -16,70 +20,149 @@ from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.points import Points
-from pipeline.simulation.products import point_cloud_file, truth_file, write_row
+from pipeline.simulation.shapes import Surface
 from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import create_file, writing_only_into
 
+POINT = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("time", "<f8"),
+        ("scan", "<u4"),
+    ]
+)
+"""A point in every file, in metres and seconds."""
+
+POINTS_IN_MEMORY = 250_000
+"""Points whose truth is gathered before it is written."""
+
+_HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be written at the end
+
+
+@contextmanager
+def point_cloud_file(path: Path) -> Iterator[Callable[[Points], None]]:
+    """Write a binary PCD 0.7 file (the Point Cloud Library's format) as a stream.
+
+    Yields
+    ------
+    callable
+        Appends points.
+    """
+    count = 0
+
+    def append(points: Points) -> None:
+        nonlocal count
+        records = np.empty(len(points), dtype=POINT)
+        records["x"], records["y"], records["z"] = points.xyz.T
+        for name in ("intensity", "time", "scan"):
+            records[name] = getattr(points, name)
+        file.write(records.data)
+        count += len(points)
+
+    with create_file(path) as file:
+        file.write(_pcd_header(0))
+        yield append
+        file.seek(0)
+        file.write(_pcd_header(count))
+
+
+@contextmanager
+def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]:
+    """Write Parquet, one row a point, as a stream: `moving` (bool) and `surface` (dictionary).
+
+    Parameters
+    ----------
+    known : bool
+        Write `known` (bool), too: whether `moving` can be told.
+
+    Yields
+    ------
+    callable
+        Appends what is true of points.
+    """
+    columns = [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
+    schema = pa.schema([*columns, ("known", pa.bool_())] if known else columns)
+    titles = pa.array([surface.title for surface in Surface])
+    waiting: list[Points] = []
+
+    def append(points: Points) -> None:
+        waiting.append(points)
+        if sum(map(len, waiting)) >= POINTS_IN_MEMORY:
+            flush()
+
+    def flush() -> None:
+        if not sum(map(len, waiting)):
+            return
+        points = Points.joined(waiting)
+        surface = pa.DictionaryArray.from_arrays(pa.array(points.surface), titles)
+        values = [pa.array(points.moving), surface, pa.array(points.known)]
+        writer.write_table(pa.Table.from_arrays(values[: len(schema)], schema=schema))
+        waiting.clear()
+
+    with create_file(path) as file, pq.ParquetWriter(file, schema) as writer:
+        yield append
+        flush()
+
+
+def write_row(file: BinaryIO, values: NDArray[np.float64]) -> None:
+    """Write numbers in a line, as the KITTI odometry benchmark has poses and times."""
+    np.savetxt(file, np.reshape(values, (1, -1)), "%.9f")
+
+
+def _pcd_header(points: int) -> bytes:
+    """Return the header of a file of so many points, always of the same size."""
+    columns = [POINT[name] for name in POINT.names or ()]
+    lines = (
+        "VERSION 0.7",
+        "FIELDS " + " ".join(POINT.names or ()),
+        "SIZE " + " ".join(str(column.itemsize) for column in columns),
+        "TYPE " + " ".join(column.kind.upper() for column in columns),
+        "COUNT " + " ".join("1" for _ in columns),
+        f"WIDTH {points}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {points}",
+        "DATA binary",
+    )
+    rest = "\n".join(lines) + "\n"
+    comment = "# .PCD v0.7 - Point Cloud Data file format"
+    return (comment.ljust(_HEADER_SIZE - len(rest) - 1) + "\n" + rest).encode("ascii")
+
+
 _STAGING = ".simulation-partial"
 _SCAN_DIGITS = 6
-_FILE_NAMES = {
-    "map": "map.pcd",
-    "truth": "truth.parquet",
-    "poses": "poses.txt",
-    "true_poses": "poses_true.txt",
-    "times": "times.txt",
-    "parameters": "simulation.yaml",
-    "scans": "scans",
-    "static_truth": "static_truth.pcd",
-    "low_activity": "low_activity.pcd",
-}
 
 
-@dataclass(frozen=True, slots=True)
 class SimulationFiles:
-    """The files of a simulation.
+    """The files of a simulation in a folder."""
 
-    Attributes
-    ----------
-    map : Path
-        The map with its ghosts: binary PCD of x, y, z, intensity, time and scan.
-    truth : Path
-        Parquet, one row a point in the map's order: `moving` (bool), `surface` (dictionary), and
-        of scenes of meshes `known` (bool): whether `moving` can be told.
-    poses, true_poses : Path
-        Estimated and true poses, one scan a line: the 3x4 matrix from sensor to map, row by row
-        (KITTI).
-    times : Path
-        When each scan began, in seconds, one a line (KITTI).
-    parameters : Path
-        YAML of the parameters, which make the same files again.
-    scans : Path
-        Folder of the scans in the sensor's frame, `000000.pcd` and so on, fields as in the map.
-    static_truth : Path
-        The map that the same drive would have given without anything that moves.
-    low_activity : Path
-        The map of another drive through the same scene, while hardly anybody was there.
-    """
+    def __init__(self, folder: Path) -> None:
+        self.map = folder / "map.pcd"
+        """The map with its ghosts: binary PCD of x, y, z, intensity, time and scan."""
+        self.truth = folder / "truth.parquet"
+        """One row a point in the map's order: `moving` (bool), `surface` (dictionary), and of
+        scenes of meshes `known` (bool): whether `moving` can be told."""
+        self.poses, self.true_poses = folder / "poses.txt", folder / "poses_true.txt"
+        """Estimated and true poses, one scan a line: the 3x4 matrix from sensor to map, row by row
+        (KITTI)."""
+        self.times = folder / "times.txt"
+        """When each scan began, in seconds, one a line (KITTI)."""
+        self.parameters = folder / "simulation.yaml"
+        """The parameters, which make the same files again."""
+        self.scans = folder / "scans"
+        """Folder of the scans in the sensor's frame, `000000.pcd` and so on, fields as in the
+        map."""
+        self.static_truth = folder / "static_truth.pcd"
+        """The map that the same drive would have given without anything that moves."""
+        self.low_activity = folder / "low_activity.pcd"
+        """The map of another drive through the same scene, while hardly anybody was there."""
 
-    map: Path
-    truth: Path
-    poses: Path
-    true_poses: Path
-    times: Path
-    parameters: Path
-    scans: Path
-    static_truth: Path
-    low_activity: Path
-
-    @classmethod
-    def in_folder(cls, folder: Path) -> "SimulationFiles":
-        """Return the files' places in a folder."""
-        return cls(**{name: folder / file for name, file in _FILE_NAMES.items()})
-
-    def besides_map(self) -> tuple[Path, ...]:
+    def besides_map(self) -> list[Path]:
         """Return every file but the map and the scans."""
-        names = (name for name in _FILE_NAMES if name not in ("map", "scans"))
-        return tuple(getattr(self, name) for name in names)
+        return [file for file in vars(self).values() if file not in (self.map, self.scans)]
 
 
 def write_simulation(
@@ -95,7 +178,6 @@ def write_simulation(
 
     Parameters
     ----------
-    parameters : SimulationParameters or MeshParameters
     folder : Path
         Made if need be. What an earlier simulation left in it is replaced.
     map_only : bool, optional
@@ -120,9 +202,8 @@ def write_simulation(
     folder = Path(folder)
     try:
         with _staged(folder) as staging:
-            files = SimulationFiles.in_folder(staging)
-            settings = parameters.model_dump(mode="json")
-            text = yaml.safe_dump(settings, sort_keys=False)
+            files = SimulationFiles(staging)
+            text = yaml.safe_dump(parameters.model_dump(mode="json"), sort_keys=False)
             files.parameters.write_text(text, encoding="utf-8")
             _write_drive(parameters, files, map_only, advance)
             if not map_only:
@@ -131,7 +212,7 @@ def write_simulation(
         raise OutputError(
             f"{folder}: expected a folder to write in, found {error.strerror or error}"
         ) from error
-    return SimulationFiles.in_folder(folder)
+    return SimulationFiles(folder)
 
 
 def _scans(
@@ -142,33 +223,21 @@ def _scans(
     return simulate_scans(parameters)
 
 
-class _Map:
-    """A map and its truth: written as a stream, or at the end through the map's voxel filter."""
+@contextmanager
+def _map_of(
+    parameters: SimulationParameters | MeshParameters, *writers: Callable[[Points], None]
+) -> Iterator[Callable[[Points], None]]:
+    """Give what appends a scan to a map: a stream, or at the end through the map's voxel filter."""
+    voxel = parameters.voxel if isinstance(parameters, MeshParameters) else 0.0
+    waiting: list[Points] = []
 
-    def __init__(
-        self,
-        parameters: SimulationParameters | MeshParameters,
-        *writers: Callable[[Points], None],
-    ) -> None:
-        self._voxel = parameters.voxel if isinstance(parameters, MeshParameters) else 0.0
-        self._writers = writers
-        self._waiting: list[Points] = []
+    def write(points: Points) -> None:
+        for each in writers:
+            each(points)
 
-    def append(self, points: Points) -> None:
-        """Append the points of a scan."""
-        if self._voxel:
-            self._waiting.append(points)
-        else:
-            self._write(points)
-
-    def finish(self) -> None:
-        """Filter what waits, and write it."""
-        if self._waiting:
-            self._write(Points.joined(self._waiting).filtered(self._voxel))
-
-    def _write(self, points: Points) -> None:
-        for write in self._writers:
-            write(points)
+    yield waiting.append if voxel else write
+    if waiting:
+        write(Points.joined(waiting).filtered(voxel))
 
 
 def _write_drive(
@@ -186,16 +255,17 @@ def _write_drive(
             stack.enter_context(create_file(path))
             for path in (files.poses, files.true_poses, files.times)
         )
-        maps = [_Map(parameters, cloud, truth)]
+        maps = [stack.enter_context(_map_of(parameters, cloud, truth))]
         if not map_only:
             files.scans.mkdir()
-            maps.append(_Map(parameters, stack.enter_context(point_cloud_file(files.static_truth))))
+            static = stack.enter_context(point_cloud_file(files.static_truth))
+            maps.append(stack.enter_context(_map_of(parameters, static)))
         count = 0
         for scan in _scans(parameters, static=not map_only):
             returns = scan.returns
             count += len(returns)
-            for kept, seen in zip(maps, (returns, scan.static_returns), strict=False):
-                kept.append(seen)
+            for append_to_map, seen in zip(maps, (returns, scan.static_returns), strict=False):
+                append_to_map(seen)
             write_row(poses, scan.estimated_pose)
             write_row(true_poses, scan.true_pose)
             write_row(times, np.array(scan.start))
@@ -204,8 +274,6 @@ def _write_drive(
                 with point_cloud_file(path) as append:
                     append(replace(returns, xyz=scan.in_sensor_frame()))
             advance(len(returns))
-        for kept in maps:
-            kept.finish()
         if not count:
             raise ConfigurationError(
                 "simulate: expected something within the sensor's range, found nothing from "
@@ -218,11 +286,9 @@ def _write_low_activity(
 ) -> None:
     """Write the map of a drive while hardly anybody is there."""
     quiet = parameters.low_activity()
-    with point_cloud_file(files.low_activity) as cloud:
-        kept = _Map(quiet, cloud)
+    with point_cloud_file(files.low_activity) as cloud, _map_of(quiet, cloud) as append:
         for scan in _scans(quiet, static=False):
-            kept.append(scan.returns)
-        kept.finish()
+            append(scan.returns)
 
 
 @contextmanager
@@ -237,7 +303,7 @@ def _staged(folder: Path) -> Iterator[Path]:
         with writing_only_into(staging):
             yield staging
         _refuse_to_replace(folder)
-        _remove_earlier(SimulationFiles.in_folder(folder))
+        _remove_earlier(SimulationFiles(folder))
         written = [path for path in sorted(staging.rglob("*")) if path.is_file()]
         turn = {"simulation.yaml": 0, "map.pcd": 2}
         for path in sorted(written, key=lambda path: turn.get(path.name, 1)):
@@ -252,7 +318,7 @@ def _staged(folder: Path) -> Iterator[Path]:
 
 def _refuse_to_replace(folder: Path) -> None:
     """Refuse a folder with files of these names that no simulation wrote."""
-    files = SimulationFiles.in_folder(folder)
+    files = SimulationFiles(folder)
     for place in (folder / _STAGING, files.scans):
         if place.is_symlink():
             raise OutputError(f"{place}: expected a folder, found a link")

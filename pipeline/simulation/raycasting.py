@@ -49,10 +49,6 @@ def first_hits(
         Where the rays begin, in metres. A body around a ray's origin is not seen by that ray.
     directions : (n, 3) float64 array
         Unit vectors.
-
-    Returns
-    -------
-    Hits
     """
     starts = np.array([[0, 0], [len(shapes.boxes), len(shapes.cylinders)]])
     frames = np.zeros((1, 1, 5))
@@ -87,10 +83,6 @@ def first_moving_hits(
         The firing each ray belongs to.
     origins, directions : (n, 3) float64 arrays
         As for `first_hits`.
-
-    Returns
-    -------
-    Hits
     """
     distance = np.full(len(origins), np.inf)
     index = np.full(len(origins), _NOTHING)

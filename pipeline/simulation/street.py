@@ -32,10 +32,6 @@ def street_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         houses, trees and parked cars.
     glass : bool, optional
         Whether shop windows let rays pass; otherwise they are solid walls.
-
-    Returns
-    -------
-    Scene
     """
     slope = random.uniform(0.02, 0.06)
     walkways = _walkways(slope)

@@ -16,8 +16,13 @@ from dynahull.density import reference_spreads
 from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Voxels, cells_of
-from dynahull.evidence.model import MODELS, EvidenceModel, evidence_model
-from dynahull.evidence.pooling import POOLED_TERMS, pooled_terms
+from dynahull.evidence.model import (
+    MODELS,
+    POOLED_TERMS,
+    EvidenceModel,
+    evidence_model,
+    pooled_terms,
+)
 from dynahull.evidence.reasons import NO_REASON, REASONS, _reason_of
 from dynahull.evidence.shapes import moments_of, shapes_of
 from dynahull.evidence.summaries import (

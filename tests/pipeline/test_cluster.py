@@ -13,9 +13,12 @@ from distributed import Client, LocalCluster, Security
 
 from pipeline.cluster import record
 from pipeline.cluster.batch_systems import Phase, batch_system
-from pipeline.cluster.sharing import TOPIC, SharedFiles, SharingCheck, check_running_workers
 from pipeline.cluster.submitting import cancel_run, run_script, submit_run
 from pipeline.cluster.workers import (
+    TOPIC,
+    SharedFiles,
+    SharingCheck,
+    check_running_workers,
     cluster_security,
     scheduler_security,
     worker_job,

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
 from pipeline.info import inspect_map
-from pipeline.pose_numbers import nearest_poses
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
+from pipeline.scan_source import nearest_poses
 from pipeline.tiles.stages import TASKS
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
+from pipeline.scan_fields import Overlap
 from pipeline.scan_numbers import find_scans
-from pipeline.scan_overlap import Overlap
 from tiling.collection import MapCollection
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
@@ -149,7 +149,7 @@ def test_what_scans_share_does_not_depend_on_how_points_come(seed, parts, most):
     xyz[:3] = np.nan, np.inf, 1e300
     scan = random.integers(-(2**62), 2**62, 1 + seed % 5)[random.integers(0, 1 + seed % 5, 400)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.scan_overlap._MOST_PAIRS", most)
+        patch.setattr("pipeline.scan_fields._MOST_PAIRS", most)
         found = []
         for pieces in (1, parts):
             order = random.permutation(400)

@@ -20,8 +20,7 @@ from pipeline.simulation import (
     simulate_scans,
 )
 from pipeline.simulation.motion import Drift
-from pipeline.simulation.sensor import RING_ELEVATIONS, measured_ranges, rotation
-from pipeline.simulation.simulate import Drive
+from pipeline.simulation.simulate import RING_ELEVATIONS, Drive, measured_ranges, rotation
 
 SHORT = {"scans": 40, "rotations_per_scan": 15}
 EXACT = {"range_noise": 0, "range_resolution": 0, "drift_position": 0, "drift_heading": 0}

@@ -18,8 +18,7 @@ from pipeline.simulation.meshes import (
 from pipeline.simulation.meshes.mesh import boxes, tubes
 from pipeline.simulation.meshes.people import Postures, draw_bodies, people_mesh
 from pipeline.simulation.meshes.raycasting import Caster, Target, open3d
-from pipeline.simulation.meshes.sensors import sweep
-from pipeline.simulation.meshes.simulate import Recording
+from pipeline.simulation.meshes.simulate import Recording, sweep
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
 from pipeline.simulation.points import Points
 from pipeline.simulation.shapes import Surface

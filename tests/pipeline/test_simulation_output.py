@@ -12,7 +12,7 @@ from pipeline.simulation import (
     SimulationParameters,
     Surface,
     campus,
-    products,
+    output,
     simulate,
     simulate_scans,
     write_simulation,
@@ -97,7 +97,7 @@ def test_maps_to_compare_with_are_of_the_same_scene(tmp_path):
 
 def test_stream_of_many_blocks_is_the_map_built_in_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(campus, "POINTS_OF_A_BLOCK", 4000)
-    monkeypatch.setattr(products, "POINTS_IN_MEMORY", 1000)
+    monkeypatch.setattr(output, "POINTS_IN_MEMORY", 1000)
     parameters = SimulationParameters(points=11_111, scans=20, scene="street")
     told = []
     files = write_simulation(parameters, tmp_path, map_only=True, advance=told.append)

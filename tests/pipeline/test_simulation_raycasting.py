@@ -181,7 +181,7 @@ FACES = np.array(
 @pytest.mark.filterwarnings("ignore")  # of Open3D, while it is imported
 def test_agrees_with_open3d_on_a_whole_building():
     open3d = pytest.importorskip("open3d", exc_type=ImportError)
-    from pipeline.simulation.storeys import storeys_scene  # noqa: PLC0415
+    from pipeline.simulation.two_levels import storeys_scene  # noqa: PLC0415
 
     scene = storeys_scene(np.random.default_rng(0)).shapes
     shapes = Shapes.of(scene.boxes, scene.box_surface)

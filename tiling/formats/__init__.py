@@ -59,10 +59,6 @@ def open_map(path: Path, threads: int = 1) -> MapReader:
     threads : int
         Cores that reading and writing may use at once, see `MapReader.threads`.
 
-    Returns
-    -------
-    MapReader
-
     Raises
     ------
     UnknownFormatError

@@ -9,7 +9,6 @@ output bit for bit.
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -54,12 +53,7 @@ class MapWriter(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
             self._abandon()
             return
@@ -121,6 +115,8 @@ class MapReader(ABC):
     threads: int = 1
     """Cores that reading, and writing by `writer`, may use at once where the format can (LAZ). What
     is read and written does not depend on it."""
+    bytes_per_point: int = 0
+    """Bytes of a record, or of the shortest, as far as that is known before it is read."""
 
     @property
     @abstractmethod
@@ -158,11 +154,6 @@ class MapReader(ABC):
     @abstractmethod
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield the points of a range of rows that the file has."""
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a record, as far as that is known before it is read; else 0."""
-        return 0
 
     @property
     def record_dtype(self) -> np.dtype[Any] | None:

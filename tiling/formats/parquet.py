@@ -119,6 +119,8 @@ class ParquetReader(MapReader):
         When it is not a Parquet file, or its points are not found, see `find_points`.
     """
 
+    sets_values = True
+
     def __init__(self, path: Path) -> None:
         self._path = path
         _check_signature(path)
@@ -137,6 +139,7 @@ class ParquetReader(MapReader):
             found = f"{point_count} rows of {len(self._schema)} columns: {found}"
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
         self._points = points
+        self.bytes_per_point = self._layout.bytes_per_row
         codecs = sorted({codec.lower() for codec in self._layout.codecs.values()})
         self.description = MapDescription(
             path=path,
@@ -146,11 +149,6 @@ class ParquetReader(MapReader):
             fields=tuple(Field(each.name, _type_name(each.type)) for each in self._schema),
             crs=_crs(stored.get(_GEO)),
         )
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a row on average; see `MapReader.bytes_per_point`."""
-        return self._layout.bytes_per_row
 
     @property
     def seekable(self) -> bool:
@@ -211,11 +209,6 @@ class ParquetReader(MapReader):
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one column of some rows, nulls as NaN; see `MapReader.values`."""
         return np.asarray(records.column(name).to_numpy())
-
-    @property
-    def sets_values(self) -> bool:
-        """Always; see `MapReader.sets_values`."""
-        return True
 
     def with_values(self, records: pa.Table, values: Mapping[str, NDArray[Any]]) -> pa.Table:
         """Return rows with other values, null where a null has none; see `MapReader`."""

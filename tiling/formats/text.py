@@ -95,6 +95,8 @@ class TextReader(MapReader):
         When it is not text with a point a row, as many values in each and as many rows as it says.
     """
 
+    seekable = False  # where a row begins is known from those before it
+
     def __init__(self, path: Path) -> None:
         self._path = path
         self._head = read_head(path)
@@ -119,17 +121,7 @@ class TextReader(MapReader):
             ),
             notes=tuple(notes),
         )
-        self._bytes_per_point = state.st_size // max(self._count, 1)
-
-    @property
-    def seekable(self) -> bool:
-        """Never: where a row begins is known from those before it."""
-        return False
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a row on average; see `MapReader.bytes_per_point`."""
-        return self._bytes_per_point
+        self.bytes_per_point = state.st_size // max(self._count, 1)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         return only_rows(self._all_batches(max_points), rows)

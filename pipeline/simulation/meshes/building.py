@@ -39,13 +39,11 @@ def wall(
 
     Parameters
     ----------
-    stage : Stage
     start, end : (x, y)
     base, high : float
         Height of its foot, and its own height, in metres.
     openings : tuple of (along, width, bottom, top)
         Holes: where each begins along the wall, and its heights above the foot.
-    thick : float
     matter : Matter
         A wall of glass has a frame.
     """

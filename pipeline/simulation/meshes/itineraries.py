@@ -80,11 +80,8 @@ def follow(
 
     Parameters
     ----------
-    stops : sequence of Stop
     guide : Guide
         Knows the ways to all of them.
-    speed, duration : float
-    random : numpy.random.Generator
     aside : float, optional
         How far beside the shortest way, in metres.
     shift : float, optional
@@ -201,11 +198,8 @@ class Planner:
 
     Parameters
     ----------
-    stage : Stage
-    walkways : Walkways
     duration : float
         In seconds.
-    random : numpy.random.Generator
     """
 
     def __init__(

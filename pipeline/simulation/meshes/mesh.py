@@ -107,7 +107,6 @@ def tube_vertices(
         Where each tube begins and ends.
     radii : (n, 2) float64 array
         Its radius there.
-    sides : int
     across : (n, 3) float64 array, optional
         The direction in which the radius holds; any, if not given.
     depth : (n,) float64 array, optional
@@ -187,8 +186,6 @@ def leaves(
 
     Parameters
     ----------
-    random : numpy.random.Generator
-    count : int
     reach : (3,) float
         Half axes.
     size : float

@@ -43,10 +43,8 @@ class Movers:
 
     Attributes
     ----------
-    bodies : Bodies
     tracks : tuple of Track
         Of the people.
-    rigid : tuple of Rigid
     albedo : (p + r,) float32 array
     changes_place : (p + r,) bool array
         Whether it ever leaves the place where it began.

@@ -186,7 +186,6 @@ def random_parameters(
 
     Parameters
     ----------
-    seed : int
     kind, sensor : optional
         Fix them, and draw the rest.
 

@@ -74,7 +74,6 @@ class Target:
 
     Parameters
     ----------
-    body : Body
     owner : (t,) int64 array, optional
         The mover each triangle belongs to; all stand still if not given.
     """

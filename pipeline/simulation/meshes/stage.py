@@ -28,7 +28,6 @@ class Body:
 
     Attributes
     ----------
-    mesh : Mesh
     surface : (t,) uint8 array
         `Surface` of each triangle.
     albedo : (t,) float32 array

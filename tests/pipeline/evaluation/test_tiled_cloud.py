@@ -9,8 +9,13 @@ from dynahull.progress import SilentObserver
 from pipeline.errors import EvaluationError
 from pipeline.evaluation.earth_mover import draw_sample
 from pipeline.evaluation.labels import RowReader, RowValues, Truth
-from pipeline.evaluation.nearest_point import find_nearest, look_up
-from pipeline.evaluation.tiled_cloud import CloudSource, check_points, voxel_cells
+from pipeline.evaluation.tiled_cloud import (
+    CloudSource,
+    check_points,
+    find_nearest,
+    look_up,
+    voxel_cells,
+)
 from tests.pipeline.evaluation.clouds import cut, source_of
 from tiling.collection import MapCollection
 

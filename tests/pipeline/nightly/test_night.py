@@ -357,7 +357,7 @@ def test_another_version_tries_what_was_set_aside(place, outcomes_of, monkeypatc
     place.write("incoming/bad.npy", "corrupt")
     for _ in range(3):
         place.night()
-    for module in ("triage", "night"):
+    for module in ("inventory", "night"):
         monkeypatch.setattr(f"pipeline.nightly.{module}.version", lambda name: "99")
     assert outcomes_of(place.night()) == {"bad.npy": "failed"}
 

@@ -34,7 +34,6 @@ class ScanRecords:
 
     Attributes
     ----------
-    scan : int
     rows : (n,) structured array
     """
 
@@ -55,15 +54,13 @@ class ScanRecords:
 class E57Reader(MapReader):
     """Reads the scans of an E57 file, one after the other.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     MapFormatError
         When it is not an E57 file with points.
     """
+
+    seekable = False  # libE57 reads a scan from its beginning
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -96,16 +93,7 @@ class E57Reader(MapReader):
             notes=tuple(notes),
             scans=tuple((scan.count, scan.pose) for scan in self._scans),
         )
-
-    @property
-    def seekable(self) -> bool:
-        """Never: libE57 reads a scan from its beginning."""
-        return False
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a record in memory; see `MapReader.bytes_per_point`."""
-        return max((scan.dtype.itemsize for scan in self._scans), default=0)
+        self.bytes_per_point = max((scan.dtype.itemsize for scan in self._scans), default=0)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         return only_rows(self._from_scan_of(rows, max_points), rows)

@@ -23,7 +23,6 @@ class ScanField:
 
     Attributes
     ----------
-    name : str
     dtype : str
         `"<f4"`, `"<f8"` or, of integers that may be scaled, `"<i8"`.
     bits : float
@@ -49,10 +48,8 @@ class Scan:
 
     Attributes
     ----------
-    number : int
     count : int
         Points.
-    fields : tuple of ScanField
     rotation : (3, 3) tuple of tuple of float or None
     translation : tuple of float or None
         From the scan to the map; None where the file has none.

@@ -53,8 +53,11 @@ class LasReader(MapReader):
         When the header, or what it says of the points, contradicts the format or the file's size.
     """
 
+    sets_values = True
+
     def __init__(self, path: Path) -> None:
         self._header = read_header(path)
+        self.bytes_per_point = self._header.record_length
         self._compression: Compression | None = None
         if self._header.compressed:
             self._compression = read_compression(self._header)
@@ -85,11 +88,6 @@ class LasReader(MapReader):
                 yield self.batch_of(first, records)
 
     @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a record; see `MapReader.bytes_per_point`."""
-        return self._header.record_length
-
-    @property
     def record_dtype(self) -> np.dtype[Any]:
         """Bytes; see `MapReader.record_dtype`."""
         return np.dtype((np.uint8, self._header.record_length))
@@ -103,11 +101,6 @@ class LasReader(MapReader):
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one field of some points, as laspy takes them apart; see `MapReader.values`."""
         return np.asarray(self._taken_apart(records)[name])
-
-    @property
-    def sets_values(self) -> bool:
-        """Always; see `MapReader.sets_values`."""
-        return True
 
     def with_values(
         self, records: NDArray[np.uint8], values: Mapping[str, NDArray[Any]]

@@ -40,6 +40,8 @@ class NpyReader(MapReader):
         When it is not such an array, or the file is too small for it.
     """
 
+    seekable = sets_values = writes_parts = True
+
     def __init__(self, path: Path) -> None:
         self._path = path
         with path.open("rb") as file:
@@ -66,6 +68,7 @@ class NpyReader(MapReader):
         if header is not stored:
             notes = (organised_note(stored), *notes)
         self._header = header
+        self.bytes_per_point = header.row_bytes
         order = "Fortran order" if header.column_count > 1 else "C order"
         self.description = MapDescription(
             path=path,
@@ -75,16 +78,6 @@ class NpyReader(MapReader):
             fields=array_fields(header),
             notes=notes,
         )
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a row; see `MapReader.bytes_per_point`."""
-        return self._header.row_bytes
-
-    @property
-    def seekable(self) -> bool:
-        """Always: every element has its place."""
-        return True
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
@@ -108,11 +101,6 @@ class NpyReader(MapReader):
         """Return what writes several such arrays into one; see `MapReader.merged`."""
         return self if self._header.has_float_coordinates else super().merged()
 
-    @property
-    def sets_values(self) -> bool:
-        """Always: every element has its place."""
-        return True
-
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an array like this one; see `MapReader.writer`."""
         return SinglePartWriter(self.part_writer(path, point_count))
@@ -129,11 +117,6 @@ class NpyReader(MapReader):
             # A column has the type of the others.
             fields = [replace(field, dtype=header.dtype.name) for field in fields]
         return ExtendedRecords(model, fields, "<" if header.dtype.names else header.dtype.str[0])
-
-    @property
-    def writes_parts(self) -> bool:
-        """Always: every element has its place."""
-        return True
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts; see `MapReader.part_writer`."""
@@ -202,6 +185,7 @@ class RawReader(NpyReader):
             expected = f"records of {record} bytes, float32 {', '.join(names)}"
             raise MapFormatError(path, expected, f"{size} bytes, {size % record} too many")
         self._header = _NoHeader(np.dtype("<f4"), False, (size // record, len(names)))
+        self.bytes_per_point = record
         self.description = MapDescription(
             path=path,
             format=f"bare float32 records, as {'nuScenes' if is_nuscenes else 'KITTI'} has them",

@@ -61,6 +61,9 @@ class NpzReader(MapReader):
         When it is not such an archive, or its entries are too small for their arrays.
     """
 
+    seekable = False  # an entry is unpacked from its beginning
+    sets_values = True
+
     def __init__(self, path: Path) -> None:
         self._path = path
         with _archive(path) as archive:
@@ -84,6 +87,7 @@ class NpzReader(MapReader):
         self._dtype = np.dtype(
             [(f"array {n}", f"V{h.row_bytes}") for n, (_, h) in enumerate(self._columns)]
         )
+        self.bytes_per_point = self._dtype.itemsize
         compression = _COMPRESSIONS[self._members[0].info.compress_type]
         self.description = MapDescription(
             path=path,
@@ -95,16 +99,6 @@ class NpzReader(MapReader):
             ),
             notes=tuple(notes),
         )
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a row of all arrays; see `MapReader.bytes_per_point`."""
-        return self._dtype.itemsize
-
-    @property
-    def seekable(self) -> bool:
-        """Never: an entry is unpacked from its beginning."""
-        return False
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         with _archive(self._path) as archive, ExitStack() as streams:
@@ -150,11 +144,6 @@ class NpzReader(MapReader):
                 columns = rows.view(np.dtype((header.dtype, (len(names),))))
                 return np.asarray(columns[:, names.index(name)])
         return super().values(records, name)
-
-    @property
-    def sets_values(self) -> bool:
-        """Always: every element has its place."""
-        return True
 
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of an archive like this one; see `MapReader.writer`."""

@@ -65,6 +65,7 @@ class PcdReader(MapReader):
             shape = f"{self._header.width} x {self._header.height}"
             organised = f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1."
             notes = (organised, *notes)
+        self.bytes_per_point = self._header.record_size
         self.description = MapDescription(
             path=self._path,
             format=f"PCD {self._header.encoding}",
@@ -261,11 +262,6 @@ class PcdReader(MapReader):
             }
         )
         return np.asarray(records.view(row)["value"])
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a record, or of a short line; see `MapReader.bytes_per_point`."""
-        return self._header.record_size
 
     @property
     def record_dtype(self) -> np.dtype[Any] | None:

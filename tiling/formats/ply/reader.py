@@ -46,6 +46,7 @@ class PlyReader(MapReader):
             found = ", ".join(each.name for each in vertex.properties) or "none"
             raise MapFormatError(path, "vertex properties x, y and z", found, at="the header")
         self._names = names
+        self.bytes_per_point = vertex.least_bytes
         self._check_size()
         notes = self._check_what_is_known()
         self.description = MapDescription(
@@ -63,11 +64,6 @@ class PlyReader(MapReader):
                 *notes,
             ),
         )
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Bytes of a record, or of the shortest; see `MapReader.bytes_per_point`."""
-        return self._header.vertex.least_bytes
 
     @property
     def seekable(self) -> bool:
