@@ -336,7 +336,9 @@ def _is_simulation(parameters: Path) -> bool:
         written = yaml.safe_load(parameters.read_bytes())
     except (OSError, ValueError, yaml.YAMLError):
         return False
-    return isinstance(written, dict) and {"scene", "seed"} <= written.keys()
+    # Scenes of boxes have a `scene`, those of meshes a `kind`.
+    names = written.keys() if isinstance(written, dict) else set()
+    return "seed" in names and not names.isdisjoint({"scene", "kind"})
 
 
 def _remove_earlier(files: SimulationFiles) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import ConfigurationError, MissingPackageError
-from pipeline.simulation import SimulationParameters, load_simulation
+from pipeline.simulation import SimulationParameters, load_simulation, write_simulation
 from pipeline.simulation.meshes import (
     DriveMode,
     MeshParameters,
@@ -54,6 +54,14 @@ def test_the_same_parameters_give_the_same_map_and_another_seed_another():
         np.testing.assert_array_equal(getattr(first.points, name), getattr(second.points, name))
     other = simulate_meshes(SMALL.model_copy(update={"seed": 4}))
     assert len(other.points) != len(first.points) or (other.points.xyz != first.points.xyz).any()
+
+
+@with_open3d
+def test_a_scene_of_boxes_and_one_of_meshes_replace_each_other(tmp_path):
+    of_boxes = SimulationParameters(scans=2, rotations_per_scan=5)
+    for parameters in (SMALL, SMALL, of_boxes, SMALL):
+        files = write_simulation(parameters, tmp_path, map_only=True)
+        assert load_simulation(files.parameters) == parameters
 
 
 EXACT = {
