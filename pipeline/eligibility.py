@@ -5,7 +5,7 @@ Neither do those that cannot be measured, nor those that LAS marks as noise or a
 that are not finite, and no tile has them; in the outputs they are where they were.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -69,15 +69,25 @@ def _left_out(batch: PointBatch, parameters: InputParameters) -> Mask:
     return out
 
 
-def warn_of_left_out(count: int, parameters: InputParameters, observer: Observer) -> None:
-    """Say how many points are left out, if any are."""
+def warn_of_left_out(
+    count: int, parameters: InputParameters, observer: Observer, outside: int | None = None
+) -> None:
+    """Say how many points are left out, if any are: those outside the window apart, where known."""
+    window = [f"more than {RIM:g} m outside the window"] if parameters.has_window else []
+    classes = ", ".join(map(str, parameters.leave_out))
+    marks = [f"of class {classes}"] if classes else []
+    marks += ["withheld"] if parameters.leave_out_withheld else []
+    if outside is None:
+        keys = "input.window, input.leave_out" if window else "input.leave_out"
+        _say_left_out(count, [*window, *marks], keys, observer)
+    else:
+        _say_left_out(outside, window, "input.window", observer)
+        _say_left_out(count - outside, marks, "input.leave_out", observer)
+
+
+def _say_left_out(count: int, marks: Sequence[str], keys: str, observer: Observer) -> None:
     if count:
-        classes = ", ".join(map(str, parameters.leave_out))
-        marks = ["outside the window"] if parameters.has_window else []
-        marks += [f"of class {classes}"] if classes else []
-        marks += ["withheld"] if parameters.leave_out_withheld else []
         points = "1 point is" if count == 1 else f"{count:,} points are"
-        keys = "input.window, input.leave_out" if parameters.has_window else "input.leave_out"
         observer.warn(
             f"{points} {' or '.join(marks)}: left out of the decision, labelled unscored, kept in "
             f"place ({keys})"
@@ -108,7 +118,8 @@ def check_parts(
     ends = zip("xyz", low, high, strict=True)
     bounds = ", ".join(f"{axis} from {least:,.2f} to {most:,.2f} m" for axis, least, most in ends)
     if parameters.has_window and not parameters.reaches(low, high):
-        found = bounds if (low <= high).all() else f"none within {RIM:g} m of it"
+        near = f"none within {RIM:g} m of it (info tells where the map lies)"
+        found = bounds if (low <= high).all() else near
         raise ConfigurationError(
             f"input.window, input.height: expected points in the window, found {found}"
         )
@@ -116,8 +127,8 @@ def check_parts(
     missed = sum(not area.reaches(low, high) for area in areas)
     if missed and (low <= high).all():
         observer.warn(
-            f"{missed} of {len(areas)} areas to protect lie where the map is not ({bounds}): "
-            "nothing is kept by them; they are in the map's own frame, metres, not in degrees"
+            f"{missed} of {len(areas)} areas to protect lie outside the map ({bounds}) and keep "
+            "nothing: expected the map's own coordinates in metres, not degrees"
         )
 
 

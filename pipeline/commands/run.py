@@ -9,6 +9,7 @@ from pipeline.commands.options import (
     MAPS,
     TLS,
     ClusterName,
+    Confidence,
     ConfigurationSource,
     HeightOption,
     Maps,
@@ -51,6 +52,7 @@ def run_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
+    confidence: Confidence = None,
     scans: Scans = None,
     poses: Poses = None,
     scheduler: Scheduler = None,
@@ -69,8 +71,8 @@ def run_command(
 
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
-    wanted += worker_settings(scheduler, cluster, tls) + part_settings(window, height, protect)
-    wanted += pose_settings(poses)
+    wanted += worker_settings(scheduler, cluster, tls) + pose_settings(poses)
+    wanted += part_settings(window, height, protect, confidence)
     named = named_maps(maps, scans)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
@@ -90,10 +92,7 @@ def apply_command(
             "-o", "--output", metavar="DIR", help="Output folder.", show_default="the run's own"
         ),
     ] = None,
-    confidence: Annotated[
-        float | None,
-        typer.Option(metavar="SHARE", help="Remove from this probability on: removal.confidence."),
-    ] = None,
+    confidence: Confidence = None,
     settings: Settings = None,
     protect: Protect = None,
     restore: Annotated[
@@ -109,8 +108,7 @@ def apply_command(
 
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    wanted = [*(settings or [])]
-    wanted += [] if confidence is None else [f"removal.confidence={confidence}"]
+    wanted = [*(settings or []), *part_settings(None, None, None, confidence)]
     areas = [] if protect is None else read_areas(protect)
     place = Path(output) if output else None
     with watching() as observer:
@@ -123,6 +121,10 @@ def submit_command(
     output: Output = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
+    window: WindowOption = None,
+    height: HeightOption = None,
+    protect: Protect = None,
+    confidence: Confidence = None,
     scans: Scans = None,
     poses: Poses = None,
     cluster: ClusterName = None,
@@ -144,6 +146,7 @@ def submit_command(
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
+    wanted += part_settings(window, height, protect, confidence)
     named = named_maps(maps, scans)
     configuration = load_configuration(config, wanted)
     check_effect(wanted, configuration)
@@ -178,6 +181,7 @@ def preview_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
+    confidence: Confidence = None,
     centre: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="X Y", help="Clean a square window around this place."),
@@ -209,7 +213,7 @@ def preview_command(
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     chosen = _chosen_window(window, centre, size, thin)
-    wanted = [*(settings or []), *part_settings(None, height, protect)]
+    wanted = [*(settings or []), *part_settings(None, height, protect, confidence)]
     configuration = load_configuration(config, wanted)
     check_effect(wanted, configuration)
     with watching() as observer:

@@ -202,7 +202,7 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
         for axis, low, high in zip("xyz", self._low, self._high, strict=True):
             if not low < high:
                 found = f"{axis} from {low:g} to {high:g}"
-                raise ValueError(f"window and height go from less to more, found {found}")
+                raise ValueError(f"expected window and height lower number first, found {found}")
         return self
 
     @property

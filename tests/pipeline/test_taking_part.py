@@ -107,6 +107,25 @@ class TestCases:
         assert "metre" in said.system
 
 
+def test_noise_and_what_lies_outside_the_window_are_counted_apart(tmp_path):
+    xyz = np.random.default_rng(2).uniform(size=(4000, 3)) * [60, 20, 3]
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.scales = [0.001] * 3
+    las.xyz = xyz
+    las.classification = np.where(np.arange(4000) % 50, 1, 7)
+    las.write(tmp_path / "map.las")
+    window = "input.window=[0, 0, 20, 20]"
+    report, labels, _ = labelled(tmp_path / "map.las", tmp_path / "o", IN_MEMORY, window)
+    outside = las.x >= 30
+    noise = (las.classification == 7) & ~outside
+    told = [each for each in report.warnings if "left out of the decision" in each]
+    assert [each.partition(":")[0] for each in told] == [
+        f"{outside.sum():,} points are more than 10 m outside the window",
+        f"{noise.sum()} points are of class 7, 18 or withheld",
+    ]
+    assert (labels[outside | noise] == "unscored").all()
+
+
 def test_maps_in_different_units_are_not_one(cases, tmp_path):
     both = [cases / "las15_feet.las", cases / "las15_metres.las"]
     with pytest.raises(CoordinateSystemError, match=r"EPSG:6420.*EPSG:6419"):
