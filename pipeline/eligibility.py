@@ -24,6 +24,9 @@ from tiling.survey import Survey, merge, survey_batches
 LEFT_OUT, PROTECTED = np.uint8(1), np.uint8(2)
 """Marks of points that take no part, and of those that do and are never removed."""
 
+_NARROW = 0.5
+"""Metres: no scanner maps less. As degrees they are 50 km."""
+
 RIM = 10.0
 """Metres around a window whose points take part: more than any evidence looks at."""
 
@@ -100,7 +103,7 @@ def check_parts(
     configuration: Configuration,
     observer: Observer,
 ) -> None:
-    """Refuse a window in which no point can be, and warn of areas in which none can be.
+    """Refuse a window in which no point can be; warn of such areas, and of degrees.
 
     Parameters
     ----------
@@ -122,6 +125,12 @@ def check_parts(
         found = bounds if (low <= high).all() else near
         raise ConfigurationError(
             f"input.window, input.height: expected points in the window, found {found}"
+        )
+    wide, tall = (high - low)[:2].max(), (high - low)[2]
+    if 0 < wide < _NARROW < tall:
+        observer.warn(
+            f"the map is {tall:,.1f} m tall and {wide:.2g} m wide, as if x and y were degrees: "
+            "lengths are metres, so project such a map first"
         )
     areas = configuration.removal.protect
     missed = sum(not area.reaches(low, high) for area in areas)

@@ -48,10 +48,10 @@ def clean_in_memory(
     far = ~configuration.input.in_window(points, RIM)
     outside = int(np.count_nonzero(valid & far))
     warn_of_left_out(count, configuration.input, observer, outside)
-    if configuration.input.has_window or removal.protect:
-        within = points[valid & ~unwanted]
-        low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
-        check_parts(low, high, configuration, observer)
+    within = points[valid & ~unwanted]
+    low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
+    check_parts(low, high, configuration, observer)
+    del within
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
     for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)

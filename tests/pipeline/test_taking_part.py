@@ -141,6 +141,17 @@ def test_degrees_are_refused_unless_the_unit_is_given(shared_data, tmp_path):
     assert "degree" in inspect_map([path]).to_text()
 
 
+@pytest.mark.parametrize("max_points", [IN_MEMORY, IN_TILES])
+def test_degrees_of_which_the_file_says_nothing_are_warned_of(tmp_path, max_points):
+    metres = np.random.default_rng(2).uniform(size=(1000, 3)) * [30, 20, 3]
+    np.save(tmp_path / "degrees.npy", metres / [55_000, 111_000, 1] + [24.9, 60.1, 30])
+    report, _, _ = labelled(tmp_path / "degrees.npy", tmp_path / "o", max_points)
+    assert sum("as if x and y were degrees" in each for each in report.warnings) == 1
+    np.save(tmp_path / "metres.npy", metres)
+    report, _, _ = labelled(tmp_path / "metres.npy", tmp_path / "o", max_points)
+    assert not any("degrees" in each for each in report.warnings)
+
+
 def test_heights_in_another_unit(shared_data):
     path = shared_data / "formats/pdal-test__autzen-bmx-cc.las"
     collection = open_collection([path], load_configuration(None).input)
