@@ -35,7 +35,7 @@ from pipeline.places import NOWHERE, SIDE, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_space, output_size
 from pipeline.progress import StageObserver
-from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, no_result
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
 from pipeline.seen_again import SeenAgain
@@ -133,7 +133,7 @@ def _report_of(folder: Path) -> RunReport:
     try:
         report = RunReport.read(folder)
     except (OSError, ValueError):
-        raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
+        raise OutputError(no_result(folder)) from None
     if LABELS_FILE not in report.outputs:
         raise OutputError(
             f"{folder}: expected {LABELS_FILE}, which keeps the scores, found none; run again with "

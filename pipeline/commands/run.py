@@ -31,6 +31,8 @@ from pipeline.commands.options import (
 if TYPE_CHECKING:
     from pipeline.preview import Window
 
+_WINDOW_SIDE = 20.0
+
 
 def run_command(
     maps: Annotated[list[str] | None, MAPS] = None,
@@ -187,8 +189,13 @@ def preview_command(
         typer.Option(metavar="X Y", help="Clean a square window around this place."),
     ] = None,
     size: Annotated[
-        float, typer.Option(metavar="M", help="Side of the window around --centre, metres.")
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Side of the window around --centre, metres.",
+            show_default=f"{_WINDOW_SIDE:g}",
+        ),
+    ] = None,
     thin: Annotated[
         bool, typer.Option("--thin", help="Clean the whole map, thinned, instead of a window.")
     ] = False,
@@ -235,7 +242,7 @@ def preview_command(
 def _chosen_window(
     window: tuple[float, float, float, float] | None,
     centre: tuple[float, float] | None,
-    size: float,
+    size: float | None,
     thin: bool,
 ) -> "Window | None":
     """Return the part of the map that is asked for, None for a typical one."""
@@ -244,12 +251,14 @@ def _chosen_window(
 
     if (window is not None) + (centre is not None) + thin > 1:
         raise ConfigurationError("expected one of --window, --centre and --thin, found several")
+    if size is not None and centre is None:
+        raise ConfigurationError("--size: expected --centre with it, found none")
     if thin:
         return WHOLE
     if window is not None:
         chosen = Window(window[:2], window[2:])
     elif centre is not None:
-        (x, y), half = centre, size / 2
+        (x, y), half = centre, (_WINDOW_SIDE if size is None else size) / 2
         chosen = Window((x - half, y - half), (x + half, y + half))
     else:
         return None

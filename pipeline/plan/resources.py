@@ -75,12 +75,17 @@ def is_one_tile(
     return wanted <= free / 2
 
 
-def warn_of_small_tiles(
-    collection: MapCollection, configuration: Configuration, observer: Observer
+def warn_of_tiling(
+    collection: MapCollection, configuration: Configuration, one_tile: bool, observer: Observer
 ) -> None:
-    """Say what tiles cost where they are many and small: each has its files, and its halo."""
-    most = configuration.tiling.max_points
-    if most != "auto" and most < _SMALLEST_TILE and collection.point_count > _MANY_TILES * most:
+    """Say that workers elsewhere have nothing to do, or what many small tiles cost."""
+    most, execution = configuration.tiling.max_points, configuration.execution
+    if one_tile and is_elsewhere(configuration):
+        observer.warn(
+            f"the map is a single tile and is cleaned in this process, without the workers of "
+            f"{execution.scheduler or execution.cluster}"
+        )
+    elif most != "auto" and most < _SMALLEST_TILE and collection.point_count > _MANY_TILES * most:
         observer.warn(
             f"tiling.max_points={most} makes thousands of tiles, each of which takes a twentieth "
             f"of a second and several files: from {_SMALLEST_TILE:,} on the run is faster"

@@ -232,6 +232,9 @@ def test_what_cannot_be_applied_is_refused_in_one_line(map_file, tmp_path):
         applied(tmp_path / "short", None)
     with pytest.raises(OutputError, match="expected the output of a run"):
         applied(tmp_path, None)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(OutputError, match=r"run.json: expected .* found a damaged file; run again"):
+        applied(tmp_path, None)
     other = tmp_path / "room.las"
     other.write_bytes(map_file.read_bytes())
     cleaned(other, tmp_path / "changed")

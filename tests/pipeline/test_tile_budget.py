@@ -131,6 +131,13 @@ def test_halos_hold_few_points_however_dense_the_map_is(points_a_column, max_poi
     assert halo >= reach or wider > 1.15 * layout.counts.sum()
 
 
+def test_workers_that_a_small_map_does_not_need_are_told_of(tmp_path):
+    np.save(tmp_path / "map.npy", np.random.default_rng(1).uniform(size=(200, 3)))
+    configuration = load_configuration(None, ["execution.scheduler=tcp://nobody:1"])
+    report = run([tmp_path / "map.npy"], tmp_path / "out", configuration, StageObserver(Display()))
+    assert any("without the workers of tcp://nobody:1" in each for each in report.warnings)
+
+
 @pytest.mark.parametrize(("most", "warned"), [(10, 1), (30, 0)])
 def test_thousands_of_tiny_tiles_are_warned_of(most, warned, tmp_path):
     random = np.random.default_rng(1)
