@@ -111,7 +111,7 @@ class Outskirts:
         rows, points = np.empty(0, np.int64), np.empty((0, 3))
         low, high = np.full(3, -np.inf), np.full(3, np.inf)
         tail = min(self._most, (self._count + at_origin) // SHARE)
-        if tail:
+        if tail and self._count:  # what is all in one place has no strays
             values = _outwardness(whole._points)
             # The map's size is that of what is left when the tails of all sides are cut off.
             inner_low, inner_high = values[:3, tail - 1], -values[3:, tail - 1]

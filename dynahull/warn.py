@@ -70,7 +70,8 @@ def warn_of_clusters(
         if count == 0:
             observer.warn(f"cluster {index} is empty: nothing to score in it")
         elif count < SMALLEST_CLUSTER:
-            observer.warn(f"cluster {index} has {count} points: too few for a hull, kept")
+            points = "1 point" if count == 1 else f"{count} points"
+            observer.warn(f"cluster {index} has {points}: too few for a hull, kept")
     if not parameters.removal.weighs_evidence:
         _warn_of_tiny_cluster(counts, parameters.removal, parameters.neighbours.k, observer)
 

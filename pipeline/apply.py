@@ -21,7 +21,7 @@ from dynahull.protection import Area
 from dynahull.removal import removal_percentages, remove_likely
 from dynahull.result import NO_CLUSTER, ClusterSummary
 from pipeline.areas import areas_of_voxels
-from pipeline.configuration.effect import check_effect
+from pipeline.configuration.effect import check_effect, check_work
 from pipeline.configuration.run import Configuration, load_configuration
 from pipeline.eligibility import PROTECTED, check_parts, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
@@ -33,8 +33,9 @@ from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.places import NOWHERE, SIDE, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
+from pipeline.plan.resources import check_space, output_size
 from pipeline.progress import StageObserver
-from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, RUN_FILE
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, no_result
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
 from pipeline.seen_again import SeenAgain
@@ -57,6 +58,8 @@ _KINDS: dict[str, DTypeLike] = {
     "score": np.float32,
     "reason": np.uint8,
 }
+
+_ROW_BYTES = sum(np.dtype(kind).itemsize for kind in _KINDS.values())
 
 Kept = dict[str, NDArray[Any]]
 """What a run kept of each point, (N,) each, by the names of `_KINDS`."""
@@ -104,6 +107,8 @@ def decide_again(
     names = OutputNames.of_run(collection.readers, configuration.output)
     results = names.all_files(configuration.output)
     with output_folder(output or folder, results, paths) as staging, unchanged(paths):
+        size, rows = output_size(collection, configuration), collection.point_count * _ROW_BYTES
+        check_space(output or folder, rows, size, configuration.output.keep_free)
         _check_content(collection, report, observer)
         kept = _read_kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
         if restore:
@@ -128,7 +133,7 @@ def _report_of(folder: Path) -> RunReport:
     try:
         report = RunReport.read(folder)
     except (OSError, ValueError):
-        raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
+        raise OutputError(no_result(folder)) from None
     if LABELS_FILE not in report.outputs:
         raise OutputError(
             f"{folder}: expected {LABELS_FILE}, which keeps the scores, found none; run again with "
@@ -143,6 +148,10 @@ def _configured(
     """Return the run's configuration with what is decided anew."""
     own = load_configuration(str(folder / CONFIGURATION_FILE))
     given = load_configuration(str(folder / CONFIGURATION_FILE), settings)
+    if given.output.labels is False:
+        raise ConfigurationError(
+            f"output.labels: expected true, as apply writes {LABELS_FILE} again, found false"
+        )
     every = [*given.removal.protect, *areas]
     wanted = [*settings, "output.labels=true"]
     wanted.append("removal.protect=" + json.dumps([area.model_dump() for area in every]))
@@ -150,14 +159,15 @@ def _configured(
     for section in type(own).model_fields:
         if section not in _FREE and getattr(own, section) != getattr(given, section):
             raise ConfigurationError(
-                f"{section}: expected settings of {', '.join(_FREE)}, as what else is set decides "
-                "what is computed; run again"
+                f"{section}: expected settings of {', '.join(_FREE)} alone; run again to change "
+                "others, by which scores are computed"
             )
     if given.removal.weighs_evidence and not own.removal.weighs_evidence:
         raise ConfigurationError(
             "removal.decision: the run weighed no evidence; run again with -c auto"
         )
     check_effect(settings, given)
+    check_work(settings)
     if given.removal.protect_classes and not all("LA" in file.format for file in report.files):
         raise ConfigurationError("removal.protect_classes expects a LAS map with classes")
     return given
@@ -181,7 +191,9 @@ def _check_places(report: RunReport, numbers: Sequence[int]) -> None:
     for number in numbers:
         if number not in {place.number for place in report.places}:
             listed = f"1 to {len(report.places)}" if report.places else "none"
-            raise ConfigurationError(f"--restore {number}: expected a place listed: {listed}")
+            raise ConfigurationError(
+                f"--restore {number}: expected the number of a place in the report: {listed}"
+            )
 
 
 def _read_kept(table: Path, folder: Path, count: int) -> Kept:
@@ -200,7 +212,9 @@ def _read_kept(table: Path, folder: Path, count: int) -> Kept:
             kept[name][first:stop] = values
         first = stop
     if first != count:
-        raise OutputError(f"{table}: expected {count} labels, found others; run again")
+        raise OutputError(
+            f"{table}: expected {count:,} points as in the map, found another number; run again"
+        )
     return kept
 
 

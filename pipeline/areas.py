@@ -35,6 +35,8 @@ def read_areas(path: Path) -> list[Area]:
         areas = list(_of_json(json.loads(text)) if is_json else _of_text(text))
     except OSError as error:
         raise ConfigurationError(f"{path}: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: expected polygons or boxes, found no text") from None
     except ValidationError as error:
         reason = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise ConfigurationError(f"{path}: expected polygons or boxes: {reason}") from None

@@ -5,7 +5,7 @@ Neither do those that cannot be measured, nor those that LAS marks as noise or a
 that are not finite, and no tile has them; in the outputs they are where they were.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +23,9 @@ from tiling.survey import Survey, merge, survey_batches
 
 LEFT_OUT, PROTECTED = np.uint8(1), np.uint8(2)
 """Marks of points that take no part, and of those that do and are never removed."""
+
+_NARROW = 0.5
+"""Metres: no scanner maps less. As degrees they are 50 km."""
 
 RIM = 10.0
 """Metres around a window whose points take part: more than any evidence looks at."""
@@ -69,15 +72,25 @@ def _left_out(batch: PointBatch, parameters: InputParameters) -> Mask:
     return out
 
 
-def warn_of_left_out(count: int, parameters: InputParameters, observer: Observer) -> None:
-    """Say how many points are left out, if any are."""
+def warn_of_left_out(
+    count: int, parameters: InputParameters, observer: Observer, outside: int | None = None
+) -> None:
+    """Say how many points are left out, if any are: those outside the window apart, where known."""
+    window = [f"more than {RIM:g} m outside the window"] if parameters.has_window else []
+    classes = ", ".join(map(str, parameters.leave_out))
+    marks = [f"of class {classes}"] if classes else []
+    marks += ["withheld"] if parameters.leave_out_withheld else []
+    if outside is None:
+        keys = "input.window, input.leave_out" if window else "input.leave_out"
+        _say_left_out(count, [*window, *marks], keys, observer)
+    else:
+        _say_left_out(outside, window, "input.window", observer)
+        _say_left_out(count - outside, marks, "input.leave_out", observer)
+
+
+def _say_left_out(count: int, marks: Sequence[str], keys: str, observer: Observer) -> None:
     if count:
-        classes = ", ".join(map(str, parameters.leave_out))
-        marks = ["outside the window"] if parameters.has_window else []
-        marks += [f"of class {classes}"] if classes else []
-        marks += ["withheld"] if parameters.leave_out_withheld else []
         points = "1 point is" if count == 1 else f"{count:,} points are"
-        keys = "input.window, input.leave_out" if parameters.has_window else "input.leave_out"
         observer.warn(
             f"{points} {' or '.join(marks)}: left out of the decision, labelled unscored, kept in "
             f"place ({keys})"
@@ -90,7 +103,7 @@ def check_parts(
     configuration: Configuration,
     observer: Observer,
 ) -> None:
-    """Refuse a window in which no point can be, and warn of areas in which none can be.
+    """Refuse a window in which no point can be; warn of such areas, and of degrees.
 
     Parameters
     ----------
@@ -106,16 +119,23 @@ def check_parts(
     ends = zip("xyz", low, high, strict=True)
     bounds = ", ".join(f"{axis} from {least:,.2f} to {most:,.2f} m" for axis, least, most in ends)
     if parameters.has_window and not parameters.reaches(low, high):
-        found = bounds if (low <= high).all() else f"none within {RIM:g} m of it"
+        near = f"none within {RIM:g} m of it (info tells where the map lies)"
+        found = bounds if (low <= high).all() else near
         raise ConfigurationError(
             f"input.window, input.height: expected points in the window, found {found}"
+        )
+    wide, tall = (high - low)[:2].max(), (high - low)[2]
+    if 0 < wide < _NARROW < tall:
+        observer.warn(
+            f"the map is {tall:,.1f} m tall and {wide:.2g} m wide, as if x and y were degrees: "
+            "lengths are metres, so project such a map first"
         )
     areas = configuration.removal.protect
     missed = sum(not area.reaches(low, high) for area in areas)
     if missed and (low <= high).all():
         observer.warn(
-            f"{missed} of {len(areas)} areas to protect lie where the map is not ({bounds}): "
-            "nothing is kept by them; they are in the map's own frame, metres, not in degrees"
+            f"{missed} of {len(areas)} areas to protect lie outside the map ({bounds}) and keep "
+            "nothing: expected the map's own coordinates in metres, not degrees"
         )
 
 

@@ -13,7 +13,7 @@ from dynahull.evidence.range_images import draw_images
 from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.configuration.run import Configuration
-from pipeline.eligibility import LEFT_OUT, PROTECTED, check_parts, marks, warn_of_left_out
+from pipeline.eligibility import LEFT_OUT, PROTECTED, RIM, check_parts, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import PointScores
@@ -45,11 +45,13 @@ def clean_in_memory(
     points, classes, marked, scan = _read(collection, configuration, source, observer)
     unwanted, valid = marked == LEFT_OUT, valid_points(points)
     count = int(np.count_nonzero(unwanted & valid))
-    warn_of_left_out(count, configuration.input, observer)
-    if configuration.input.has_window or removal.protect:
-        within = points[valid & ~unwanted]
-        low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
-        check_parts(low, high, configuration, observer)
+    far = ~configuration.input.in_window(points, RIM)
+    outside = int(np.count_nonzero(valid & far))
+    warn_of_left_out(count, configuration.input, observer, outside)
+    within = points[valid & ~unwanted]
+    low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
+    check_parts(low, high, configuration, observer)
+    del within
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
     for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)

@@ -21,6 +21,14 @@ _PUBLISHED = "published.json"
 """Within the staging folder: what is being renamed into place, and what is removed for it."""
 
 
+def no_result(folder: Path) -> str:
+    """Say that a folder holds no result of a run, or one whose report cannot be read."""
+    report = folder / RUN_FILE
+    if report.is_file():
+        return f"{report}: expected the report of a run, found a damaged file; run again"
+    return f"{folder}: expected the output of a run, found no {RUN_FILE}"
+
+
 def refuse_to_replace(folder: Path, results: Sequence[Path], inputs: Sequence[Path]) -> None:
     """Refuse to replace or remove an input, or a file that no run wrote, or to write elsewhere.
 

@@ -26,6 +26,7 @@ from pipeline.plan.resources import (
     check_workers,
     is_one_tile,
     output_size,
+    warn_of_tiling,
 )
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
@@ -77,6 +78,7 @@ def run(
         check_one_tile(collection, configuration)
     else:
         check_workers(configuration)
+    warn_of_tiling(collection, configuration, one_tile, observer)
     _warn_of_what_is_lost(collection, observer)
     weighs = configuration.removal.weighs_evidence
     if configuration.input.poses and not (collection.is_moved or weighs):

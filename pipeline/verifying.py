@@ -21,7 +21,7 @@ from pipeline.outputs.modes import DENSITY, LABEL, SCORE, PointScores, mode_of
 from pipeline.outputs.reading import added_values, row_columns
 from pipeline.outputs.run_report import InputFile, RunReport
 from pipeline.outputs.writing import MapPart, parts_of
-from pipeline.replacing import LABELS_FILE, RUN_FILE
+from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, content_hash
 from tiling.foreign_text import printable_path
@@ -48,7 +48,7 @@ def find_results(folder: Path) -> list[Path]:
     found = [folder] if (folder / RUN_FILE).is_file() else []
     found = found or sorted(path.parent for path in folder.rglob(RUN_FILE) if path.is_file())
     if not found:
-        raise VerificationError(f"{folder}: expected the output of a run, found no {RUN_FILE}")
+        raise VerificationError(no_result(folder))
     return found
 
 
@@ -98,9 +98,8 @@ def _read_report(folder: Path) -> tuple[RunReport, Configuration]:
     try:
         report = RunReport.read(folder)
         configuration = Configuration.model_validate(report.configuration)
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())[:100]
-        raise VerificationError(f"{folder / RUN_FILE}: expected that of a run: {reason}") from None
+    except (OSError, ValueError):
+        raise VerificationError(no_result(folder)) from None
     missing = [name for name in report.outputs if not (folder / name).is_file()]
     if missing:
         raise VerificationError(f"{folder / missing[0]}: expected a result, found no file")

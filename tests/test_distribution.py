@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from fnmatch import fnmatch
 from pathlib import Path
 
 import yaml
@@ -38,6 +39,16 @@ def test_the_workflow_runs_what_is_run_here():
 def test_the_image_starts_the_program():
     text = (ROOT / "packaging/Dockerfile").read_text()
     assert f'ENTRYPOINT ["{PROJECT["name"]}"]' in text
+
+
+def test_what_the_readme_makes_is_not_in_the_image():
+    left_out = (ROOT / ".dockerignore").read_text().splitlines()
+    made = re.search(r"python3 -m venv (\S+) .* simulate .* run (\w+)/map.pcd .* evaluate (\w+) ",
+                     (ROOT / "README.md").read_text())  # fmt: skip
+    for name in (".git", *made.groups()):
+        assert any(fnmatch(name, pattern) for pattern in left_out), name
+    for kept in ("pyproject.toml", "dynahull", "pipeline", "tiling", "configs", "README.md"):
+        assert not any(fnmatch(kept, pattern) for pattern in left_out), kept
 
 
 def test_the_version_is_in_the_changelog():

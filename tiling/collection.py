@@ -302,6 +302,7 @@ def _files_of(argument: Path | str, as_one: bool) -> list[Path]:
         maps = doubtless
     if not maps:
         others = f"{len(files)} other files" if files else "no files"
+        others = "1 other file" if len(files) == 1 else others
         raise NoMapError(str(argument), f"{place} with {others} and no {', '.join(MAP_SUFFIXES)}")
     return sorted(maps, key=_natural_order)
 

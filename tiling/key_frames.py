@@ -165,6 +165,8 @@ def read_poses(path: Path) -> tuple[Matrices, NDArray[np.float64] | None]:
         lines = np.loadtxt(path, dtype=np.float64, ndmin=2)
     except OSError as error:
         raise MapFormatError(path, "a file of poses", (error.strerror or "none").lower()) from error
+    except UnicodeDecodeError as error:
+        raise MapFormatError(path, expected, "no text") from error
     except ValueError as error:
         raise MapFormatError(path, expected, str(error)) from error
     if lines.shape[1] == 8:

@@ -42,11 +42,15 @@ Settings = Annotated[
 ]
 WindowOption = Annotated[
     tuple[float, float, float, float] | None,
-    typer.Option("--window", metavar="X0 Y0 X1 Y1", help="Clean this window alone, metres."),
+    typer.Option(
+        "--window", metavar="X0 Y0 X1 Y1", help="Clean what lies in this window alone, metres."
+    ),
 ]
 HeightOption = Annotated[
     tuple[float, float] | None,
-    typer.Option("--height", metavar="Z0 Z1", help="Clean what is between these heights alone."),
+    typer.Option(
+        "--height", metavar="Z0 Z1", help="Clean what lies between these heights alone, metres."
+    ),
 ]
 Protect = Annotated[
     Path | None,
@@ -54,6 +58,15 @@ Protect = Annotated[
         "--protect",
         metavar="FILE",
         help="Areas where nothing is removed: GeoJSON, WKT, or boxes, a line each.",
+    ),
+]
+Confidence = Annotated[
+    float | None,
+    typer.Option(
+        "--confidence",
+        metavar="SHARE",
+        help="Remove what moved with at least this probability, above 0 and below 1; of -c auto "
+        "(removal.confidence).",
     ),
 ]
 Scans = Annotated[
@@ -108,12 +121,16 @@ def pose_settings(poses: str | None) -> list[str]:
 
 
 def part_settings(
-    window: tuple[float, ...] | None, height: tuple[float, ...] | None, protect: Path | None
+    window: tuple[float, ...] | None,
+    height: tuple[float, ...] | None,
+    protect: Path | None,
+    confidence: float | None = None,
 ) -> list[str]:
-    """Return the options about a part of the map as settings of the configuration."""
+    """Return the options about what is removed, and where, as settings of the configuration."""
     from pipeline.areas import read_areas  # noqa: PLC0415 (slow to import)
 
-    settings = [f"input.window={list(window)}"] if window else []
+    settings = [] if confidence is None else [f"removal.confidence={confidence}"]
+    settings += [f"input.window={list(window)}"] if window else []
     settings += [f"input.height={list(height)}"] if height else []
     if protect is not None:
         areas = [area.model_dump() for area in read_areas(protect)]

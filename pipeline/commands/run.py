@@ -9,6 +9,7 @@ from pipeline.commands.options import (
     MAPS,
     TLS,
     ClusterName,
+    Confidence,
     ConfigurationSource,
     HeightOption,
     Maps,
@@ -29,6 +30,8 @@ from pipeline.commands.options import (
 
 if TYPE_CHECKING:
     from pipeline.preview import Window
+
+_WINDOW_SIDE = 20.0
 
 
 def run_command(
@@ -51,6 +54,7 @@ def run_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
+    confidence: Confidence = None,
     scans: Scans = None,
     poses: Poses = None,
     scheduler: Scheduler = None,
@@ -69,8 +73,8 @@ def run_command(
 
     wanted = [*(settings or []), *(["output.labels=true"] if labels else [])]
     wanted += ["output.keep_work=true"] if keep_work else []
-    wanted += worker_settings(scheduler, cluster, tls) + part_settings(window, height, protect)
-    wanted += pose_settings(poses)
+    wanted += worker_settings(scheduler, cluster, tls) + pose_settings(poses)
+    wanted += part_settings(window, height, protect, confidence)
     named = named_maps(maps, scans)
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
@@ -90,10 +94,7 @@ def apply_command(
             "-o", "--output", metavar="DIR", help="Output folder.", show_default="the run's own"
         ),
     ] = None,
-    confidence: Annotated[
-        float | None,
-        typer.Option(metavar="SHARE", help="Remove from this probability on: removal.confidence."),
-    ] = None,
+    confidence: Confidence = None,
     settings: Settings = None,
     protect: Protect = None,
     restore: Annotated[
@@ -109,8 +110,7 @@ def apply_command(
 
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
-    wanted = [*(settings or [])]
-    wanted += [] if confidence is None else [f"removal.confidence={confidence}"]
+    wanted = [*(settings or []), *part_settings(None, None, None, confidence)]
     areas = [] if protect is None else read_areas(protect)
     place = Path(output) if output else None
     with watching() as observer:
@@ -123,6 +123,10 @@ def submit_command(
     output: Output = None,
     config: ConfigurationSource = None,
     settings: Settings = None,
+    window: WindowOption = None,
+    height: HeightOption = None,
+    protect: Protect = None,
+    confidence: Confidence = None,
     scans: Scans = None,
     poses: Poses = None,
     cluster: ClusterName = None,
@@ -144,6 +148,7 @@ def submit_command(
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
+    wanted += part_settings(window, height, protect, confidence)
     named = named_maps(maps, scans)
     configuration = load_configuration(config, wanted)
     check_effect(wanted, configuration)
@@ -178,13 +183,19 @@ def preview_command(
     window: WindowOption = None,
     height: HeightOption = None,
     protect: Protect = None,
+    confidence: Confidence = None,
     centre: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="X Y", help="Clean a square window around this place."),
     ] = None,
     size: Annotated[
-        float, typer.Option(metavar="M", help="Side of the window around --centre, metres.")
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Side of the window around --centre, metres.",
+            show_default=f"{_WINDOW_SIDE:g}",
+        ),
+    ] = None,
     thin: Annotated[
         bool, typer.Option("--thin", help="Clean the whole map, thinned, instead of a window.")
     ] = False,
@@ -209,7 +220,7 @@ def preview_command(
     if output == "":
         raise ConfigurationError("-o: expected a folder, found nothing")
     chosen = _chosen_window(window, centre, size, thin)
-    wanted = [*(settings or []), *part_settings(None, height, protect)]
+    wanted = [*(settings or []), *part_settings(None, height, protect, confidence)]
     configuration = load_configuration(config, wanted)
     check_effect(wanted, configuration)
     with watching() as observer:
@@ -231,7 +242,7 @@ def preview_command(
 def _chosen_window(
     window: tuple[float, float, float, float] | None,
     centre: tuple[float, float] | None,
-    size: float,
+    size: float | None,
     thin: bool,
 ) -> "Window | None":
     """Return the part of the map that is asked for, None for a typical one."""
@@ -240,12 +251,14 @@ def _chosen_window(
 
     if (window is not None) + (centre is not None) + thin > 1:
         raise ConfigurationError("expected one of --window, --centre and --thin, found several")
+    if size is not None and centre is None:
+        raise ConfigurationError("--size: expected --centre with it, found none")
     if thin:
         return WHOLE
     if window is not None:
         chosen = Window(window[:2], window[2:])
     elif centre is not None:
-        (x, y), half = centre, size / 2
+        (x, y), half = centre, (_WINDOW_SIDE if size is None else size) / 2
         chosen = Window((x - half, y - half), (x + half, y + half))
     else:
         return None

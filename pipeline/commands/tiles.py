@@ -66,7 +66,8 @@ def tile_command(
     check_encryption(configuration, tls)
     with telling_how_to_go_on(), watching() as observer:
         tiles = tile_map(maps, output, configuration, observer)
-    typer.echo(f"written: {tiles} tiles in {output / 'chunks'}, described in store.json")
+    told = "1 tile" if tiles == 1 else f"{tiles:,} tiles"
+    typer.echo(f"written: {told} in {output / 'chunks'}, described in store.json")
 
 
 def status_command(

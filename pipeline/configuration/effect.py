@@ -17,6 +17,21 @@ _IDLE = {
 }
 """What each decision does not look at, and what to do instead."""
 
+_WORK = ("execution.cluster", "execution.scheduler", "execution.memory", "output.keep_work")
+"""What is about workers and tiles."""
+
+
+def check_work(settings: Sequence[str]) -> None:
+    """Refuse settings about the work of a run, where there is none.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    for key in (setting.partition("=")[0] for setting in settings):
+        if key in _WORK:
+            raise ConfigurationError(f"{key} has no effect on apply, which works without tiles")
+
 
 def check_effect(settings: Sequence[str], configuration: Configuration) -> None:
     """Refuse settings that have no effect on what is decided.

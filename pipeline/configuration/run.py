@@ -1,6 +1,7 @@
 """The configuration of a run: one YAML file, small models, unknown keys refused."""
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -202,7 +203,7 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
         for axis, low, high in zip("xyz", self._low, self._high, strict=True):
             if not low < high:
                 found = f"{axis} from {low:g} to {high:g}"
-                raise ValueError(f"window and height go from less to more, found {found}")
+                raise ValueError(f"expected window and height lower number first, found {found}")
         return self
 
     @property
@@ -349,19 +350,23 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        ready = ", ".join(ready_configurations())
+        ready = ready_configurations()
+        alike = get_close_matches(str(path), ready, n=1)
+        hint = f"; did you mean {alike[0]}?" if alike else ""
         raise ConfigurationError(
-            f"{path}: expected a YAML file or one of the ready configurations ({ready}), "
-            "found no such file"
+            f"{path}: expected a YAML file or one of the ready configurations "
+            f"({', '.join(ready)}), found no such file{hint}"
         ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        found = "a folder" if path.is_dir() else error
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: expected a YAML file, found no text") from None
+    except OSError as error:
+        found = "a folder" if path.is_dir() else error.strerror or error
         raise ConfigurationError(f"{path}: expected a YAML file, found {found}") from None
     except _NOT_YAML as error:
         mark = getattr(error, "problem_mark", None)
         place = f" at line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "something else"
-        raise ConfigurationError(f"{path}: expected YAML, found {problem}{place}") from None
+        raise ConfigurationError(f"{path}: not YAML{place}: {problem}") from None
     if values is None:
         return {}
     if not isinstance(values, dict):

@@ -253,7 +253,8 @@ class _Night:
         is_first = self.runs_begun == 0
         self.runs_begun += 1
         logger.info("%s: cleaning into %s", printable(found.path), run)
-        request = Request(found.path, run, found.configuration, found.root)
+        level = logger.getEffectiveLevel()
+        request = Request(found.path, run, found.configuration, found.root, level)
         ended = self.cleaner.clean(request, self.end.is_over)
         record.attempt = None
         record.stalled = False

@@ -57,6 +57,8 @@ class Request:
     configuration: Configuration
     root: Path
     """The folder that the map lies in, and no link leads out of."""
+    level: int = logging.INFO
+    """Of the log, as `logging` counts them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +168,10 @@ def main() -> None:
     answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(message)s")
-    logger.setLevel(logging.INFO)
     signal.signal(signal.SIGTERM, _stop)
     Thread(target=_watch_the_night, daemon=True).start()
     request = _REQUEST.validate_python(json.loads(sys.argv[1]))
+    logger.setLevel(request.level)
     ended = clean_one(request, StageObserver(LogDisplay()))
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:

@@ -340,7 +340,7 @@ class Minutes:
         """Write the summary of a night that has ended, and return it."""
         summary = self._summary(ending, running=False)
         self._write(summary)
-        logger.info(summary.to_text())
+        logger.log(logging.WARNING if summary.exit_code else logging.INFO, summary.to_text())
         return summary
 
     def _write(self, summary: NightSummary) -> None:

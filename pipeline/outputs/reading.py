@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dynahull.labels import Label
 from pipeline.errors import OutputError
 from pipeline.outputs.modes import DENSITY, LABEL, own_names
-from pipeline.replacing import LABELS_FILE, RUN_FILE
+from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
 from tiling.errors import MapFormatError
 from tiling.formats import field_values, open_map
 from tiling.formats.parquet_tables import open_parquet
@@ -53,7 +53,7 @@ def read_result(folder: Path) -> ResultPoints:
         if report["configuration"]["output"].get("merge"):
             files = files[:1]
     except (OSError, ValueError, KeyError, TypeError):
-        raise OutputError(f"{folder}: expected the output of a run, found no {RUN_FILE}") from None
+        raise OutputError(no_result(folder)) from None
     table = folder / LABELS_FILE
     if LABELS_FILE in report.get("outputs", ()):
         labels, density = _read_table(table)

@@ -58,6 +58,9 @@ _MICROSECONDS_A_POINT = 8.0
 
 _MICROSECONDS_A_HALO_POINT = 3.0
 
+_MICROSECONDS_A_TILE = 50_000.0
+"""Of all stages together, whatever the tile holds."""
+
 _SPARSE_SHARE = 0.25
 """Share of the points, in the sparsest columns, that the halo is not made for."""
 
@@ -174,6 +177,7 @@ def make_plan(
     most = max(all_held * _PIECE_BYTES, core * _COLUMN_BYTES, later)
     disk = chunks + most + bytes_kept(collection)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
+    seconds += len(held) * _MICROSECONDS_A_TILE
     return Plan(
         point_count=survey.point_count,
         layout=layout,

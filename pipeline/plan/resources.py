@@ -5,6 +5,7 @@ from pathlib import Path
 
 from dynahull.evidence.range_images import HELD_BYTES
 from dynahull.ground.reach import ground_radius
+from dynahull.progress import Observer
 from pipeline.configuration.quantities import in_units
 from pipeline.configuration.run import Configuration, is_elsewhere
 from pipeline.errors import DiskSpaceError, PlanError
@@ -47,6 +48,8 @@ _USUAL_TILE, _LARGEST_TILE, _SMALLEST_TILE = 1_000_000, 2_000_000, 20_000
 _TILES_A_WORKER = 3
 """So that all workers have work to the end."""
 
+_MANY_TILES = 1_000
+
 _LARGEST_ONE_TILE = 50_000_000
 """Points: only tiles are shared out to all cores in every step."""
 
@@ -70,6 +73,23 @@ def is_one_tile(
         return collection.point_count <= _USUAL_TILE
     wanted, free = one_tile_memory(collection, configuration)
     return wanted <= free / 2
+
+
+def warn_of_tiling(
+    collection: MapCollection, configuration: Configuration, one_tile: bool, observer: Observer
+) -> None:
+    """Say that workers elsewhere have nothing to do, or what many small tiles cost."""
+    most, execution = configuration.tiling.max_points, configuration.execution
+    if one_tile and is_elsewhere(configuration):
+        observer.warn(
+            f"the map is a single tile and is cleaned in this process, without the workers of "
+            f"{execution.scheduler or execution.cluster}"
+        )
+    elif most != "auto" and most < _SMALLEST_TILE and collection.point_count > _MANY_TILES * most:
+        observer.warn(
+            f"tiling.max_points={most} makes thousands of tiles, each of which takes a twentieth "
+            f"of a second and several files: from {_SMALLEST_TILE:,} on the run is faster"
+        )
 
 
 def tile_budget(collection: MapCollection, configuration: Configuration, workers: int) -> int:

@@ -69,6 +69,12 @@ def test_a_few_points_at_the_origin_are_points(count):
     assert set(result.labels[-count:]) <= {Label.STATIC, Label.DYNAMIC}
 
 
+def test_a_map_of_nothing_but_the_origin_is_kept():
+    result = clean(np.zeros((5000, 3)), FAST)
+    assert result.kept.all()
+    assert result.density.shape == (5000,)
+
+
 def test_a_few_points_at_the_origin_of_a_map_far_away_are_strays():
     result = clean(np.vstack([room() + [5e5, 5e6, 0], np.zeros((3, 3))]), FAST)
     assert (result.labels[-3:] == Label.UNSCORED).all()

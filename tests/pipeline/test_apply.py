@@ -18,6 +18,7 @@ from pipeline.configuration.run import load_configuration
 from pipeline.eligibility import RIM
 from pipeline.errors import (
     ConfigurationError,
+    DiskSpaceError,
     InputChangedError,
     OutputError,
     VerificationError,
@@ -201,19 +202,26 @@ def test_of_a_place_that_is_put_back_all_others_stay_removed(hooks, tmp_path, wa
 
 def test_only_places_of_the_report_are_put_back(map_file, tmp_path):
     cleaned(map_file, tmp_path / "out")
-    with pytest.raises(ConfigurationError, match="--restore 9999: expected a place listed"):
+    with pytest.raises(
+        ConfigurationError, match="--restore 9999: expected the number of a place in the report"
+    ):
         applied(tmp_path / "out", None, restore=[9999])
 
 
 def test_what_cannot_be_applied_is_refused_in_one_line(map_file, tmp_path):
     cleaned(map_file, tmp_path / "out")
     for wanted, message in [
-        (["neighbours.k=20"], "neighbours: expected settings of removal, output, execution"),
+        (["neighbours.k=20"], "neighbours: expected settings of removal, output, execution alone"),
         (["removal.decision=auto"], "run again with -c auto"),
         (["removal.confidence=0.7"], "removal.confidence has no effect .* is paper: give removal"),
+        (["output.labels=false"], "output.labels: expected true, .* labels.parquet again"),
+        (["output.keep_work=true"], "output.keep_work has no effect on apply"),
+        (["execution.cluster=slurm"], "execution.cluster has no effect on apply"),
     ]:
         with pytest.raises(ConfigurationError, match=message):
             applied(tmp_path / "out", None, wanted)
+    with pytest.raises(DiskSpaceError, match="are to stay so"):
+        applied(tmp_path / "out", None, ["output.keep_free=900TiB"])
     cleaned(map_file, tmp_path / "auto", "removal.decision=auto")
     with pytest.raises(
         ConfigurationError, match=r"max_percent has no effect .* give removal.confidence"
@@ -223,6 +231,9 @@ def test_what_cannot_be_applied_is_refused_in_one_line(map_file, tmp_path):
     with pytest.raises(OutputError, match=r"found none; run again with --labels"):
         applied(tmp_path / "short", None)
     with pytest.raises(OutputError, match="expected the output of a run"):
+        applied(tmp_path, None)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(OutputError, match=r"run.json: expected .* found a damaged file; run again"):
         applied(tmp_path, None)
     other = tmp_path / "room.las"
     other.write_bytes(map_file.read_bytes())
@@ -262,7 +273,7 @@ def test_a_window_where_the_map_is_not_is_refused_and_such_areas_are_told(
     elsewhere = Area.box([900, 0], [901, 1]).model_dump_json()
     here = Area.box([0, 0, 1], [9, 9, 0]).model_dump_json()
     report = cleaned(map_file, tmp_path / "out", f"removal.protect=[{elsewhere}, {here}]", *tiles)
-    assert any("1 of 2 areas to protect lie where the map is not" in w for w in report.warnings)
+    assert any("1 of 2 areas to protect lie outside the map" in w for w in report.warnings)
     again = applied(tmp_path / "out", None, protect=[Area.box([-9, -9], [-8, -8])])
     assert any("2 of 3 areas to protect" in warning for warning in again.warnings)
 
@@ -302,7 +313,7 @@ def test_areas_come_as_geojson_wkt_and_boxes(tmp_path):
 
 
 def test_a_window_is_refused_the_wrong_way_round():
-    with pytest.raises(ConfigurationError, match="from less to more"):
+    with pytest.raises(ConfigurationError, match="lower number first"):
         load_configuration(None, ["input.window=[3, 0, 1, 9]"])
     with pytest.raises(ConfigurationError, match="corners of an area are finite"):
         load_configuration(None, ["removal.protect=[{rings: [[[0, 0], [1, 1], [.nan, 2]]]}]"])

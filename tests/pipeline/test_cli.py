@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from pipeline.commands.app import main
+from pipeline.configuration.run import load_configuration
 
 COMMAND = [sys.executable, "-c", "from pipeline.commands.app import main; main()"]
 
@@ -225,12 +226,32 @@ def test_the_key_that_is_missing_beside_another_is_named(map_file, call_here):
     assert "set removal.min_percent as well, to no more than 3" in done.stderr
 
 
-@pytest.mark.parametrize("command", ["run", "preview"])
-def test_a_setting_that_nothing_looks_at_is_refused(command, map_file, call_here):
-    done = call_here(command, map_file, "--set", "removal.confidence=0.7")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "--set", "removal.confidence=0.7"),
+        ("run", "--confidence", "0.7"),
+        ("preview", "--confidence", "0.7"),
+        ("submit", "--cluster", "slurm", "--dry-run", "--confidence", "0.7"),
+    ],
+)
+def test_a_setting_that_nothing_looks_at_is_refused(words, map_file, call_here):
+    done = call_here(*words, map_file)
     assert done.returncode == 2
     assert done.stderr.startswith("error: removal.confidence has no effect")
     assert "run with -c auto" in done.stderr
+
+
+def test_a_confidence_is_given_to_a_run_as_to_apply(map_file, call_here, tmp_path):
+    done = call_here("run", map_file, "-c", "auto", "--confidence", "0.9", "-o", "sure")
+    assert done.returncode == 0
+    kept = load_configuration(str(tmp_path / "sure/config.yaml"))
+    assert kept.removal.confidence == 0.9
+    done = call_here("run", map_file, "-c", "auto", "--confidence", "7")
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        "error: configuration: removal.confidence: input should be less than 1, found 7.0"
+    ]
 
 
 def test_plan_and_status_as_json(map_file, call_here):

@@ -5,9 +5,12 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from pipeline.areas import read_areas
 from pipeline.configuration.page import configuration_page
 from pipeline.configuration.run import Configuration, load_configuration, ready_configurations
 from pipeline.errors import ConfigurationError
+from tiling.errors import MapFormatError
+from tiling.key_frames import read_poses
 
 CONFIGS = (Path(__file__).parents[2] / "configs").glob("*.yaml")
 READY = sorted(path.stem for path in CONFIGS if path.stem != "nightly")
@@ -44,6 +47,13 @@ def test_a_file_wins_over_a_ready_configuration_of_its_name(tmp_path, monkeypatc
     assert load_configuration("paper").neighbours.k == 10
 
 
+def test_a_name_that_is_nearly_that_of_a_ready_configuration_is_named():
+    with pytest.raises(ConfigurationError, match=r"no such file; did you mean outdoor\?$"):
+        load_configuration("ouutdoor")
+    with pytest.raises(ConfigurationError, match=r"found no such file$"):
+        load_configuration("mine.yaml")
+
+
 def test_settings_win_over_the_file_and_the_last_wins(tmp_path):
     source = write(tmp_path, "neighbours: {k: 30}\nmax_height: 2.5\n")
     configuration = load_configuration(source, ["neighbours.k=40", "neighbours.k=50"])
@@ -68,7 +78,7 @@ def test_settings_win_over_the_file_and_the_last_wins(tmp_path):
         ("removal: {min_percent: 30}", r"min_percent \(30\) is above max_percent \(20\)"),
         ("removal: {threshold: best}", "removal.threshold: input should be 'rank' or 'stepped'"),
         ("- a\n- b", "expected sections with keys, found"),
-        ("a: [1", "expected YAML, found .* at line 1"),
+        ("a: [1", "not YAML at line 1: expected"),
         ("neighbours: 5", r"neighbours: expected a section of keys \(k\), found 5"),
     ],
 )
@@ -78,6 +88,14 @@ def test_mistakes_in_a_file_are_one_line(text, message, tmp_path):
         load_configuration(source)
     assert str(error.value).startswith(source)
     assert "\n" not in str(error.value)
+
+
+def test_files_that_are_no_text_are_refused_in_words(tmp_path):
+    path = tmp_path / "bytes"
+    path.write_bytes(b"\xff\xfe\x00")
+    for read in (load_configuration, read_areas, read_poses):
+        with pytest.raises((ConfigurationError, MapFormatError), match=r"expected .*no text"):
+            read(path if read is not load_configuration else str(path))
 
 
 @pytest.mark.parametrize(

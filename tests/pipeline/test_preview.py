@@ -201,6 +201,7 @@ def test_the_command_says_where_the_report_is(map_file, tmp_path):
         (["--thin", "--centre", "1", "1"], "found several"),
         (["--window", "5", "0", "1", "9"], "X0 < X1"),
         (["--centre", "1", "1", "--size", "nan"], "X0 < X1"),
+        (["--size", "5"], "--size: expected --centre with it"),
     ],
 )
 def test_windows_that_are_none_are_refused(map_file, tmp_path, options, problem):

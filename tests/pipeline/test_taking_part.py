@@ -107,6 +107,25 @@ class TestCases:
         assert "metre" in said.system
 
 
+def test_noise_and_what_lies_outside_the_window_are_counted_apart(tmp_path):
+    xyz = np.random.default_rng(2).uniform(size=(4000, 3)) * [60, 20, 3]
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.scales = [0.001] * 3
+    las.xyz = xyz
+    las.classification = np.where(np.arange(4000) % 50, 1, 7)
+    las.write(tmp_path / "map.las")
+    window = "input.window=[0, 0, 20, 20]"
+    report, labels, _ = labelled(tmp_path / "map.las", tmp_path / "o", IN_MEMORY, window)
+    outside = las.x >= 30
+    noise = (las.classification == 7) & ~outside
+    told = [each for each in report.warnings if "left out of the decision" in each]
+    assert [each.partition(":")[0] for each in told] == [
+        f"{outside.sum():,} points are more than 10 m outside the window",
+        f"{noise.sum()} points are of class 7, 18 or withheld",
+    ]
+    assert (labels[outside | noise] == "unscored").all()
+
+
 def test_maps_in_different_units_are_not_one(cases, tmp_path):
     both = [cases / "las15_feet.las", cases / "las15_metres.las"]
     with pytest.raises(CoordinateSystemError, match=r"EPSG:6420.*EPSG:6419"):
@@ -120,6 +139,17 @@ def test_degrees_are_refused_unless_the_unit_is_given(shared_data, tmp_path):
     report, _, _ = labelled(path, tmp_path / "o", IN_MEMORY, "input.unit=metre")
     assert "as configured" in report.system
     assert "degree" in inspect_map([path]).to_text()
+
+
+@pytest.mark.parametrize("max_points", [IN_MEMORY, IN_TILES])
+def test_degrees_of_which_the_file_says_nothing_are_warned_of(tmp_path, max_points):
+    metres = np.random.default_rng(2).uniform(size=(1000, 3)) * [30, 20, 3]
+    np.save(tmp_path / "degrees.npy", metres / [55_000, 111_000, 1] + [24.9, 60.1, 30])
+    report, _, _ = labelled(tmp_path / "degrees.npy", tmp_path / "o", max_points)
+    assert sum("as if x and y were degrees" in each for each in report.warnings) == 1
+    np.save(tmp_path / "metres.npy", metres)
+    report, _, _ = labelled(tmp_path / "metres.npy", tmp_path / "o", max_points)
+    assert not any("degrees" in each for each in report.warnings)
 
 
 def test_heights_in_another_unit(shared_data):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from pipeline.configuration.run import load_configuration
+from pipeline.errors import DiskSpaceError
 from pipeline.plan import resources
 from pipeline.plan.plan import halo_width, points_held
 from pipeline.plan.resources import is_one_tile, tile_budget
-from pipeline.progress import LogDisplay, StageObserver
+from pipeline.progress import Display, LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
 from tiling.layout import quadtree
@@ -128,3 +129,23 @@ def test_halos_hold_few_points_however_dense_the_map_is(points_a_column, max_poi
     assert halo < reach + 1 / 16
     wider = points_held(layout, occupancy, halo + 1 / 16).sum()
     assert halo >= reach or wider > 1.15 * layout.counts.sum()
+
+
+def test_workers_that_a_small_map_does_not_need_are_told_of(tmp_path):
+    np.save(tmp_path / "map.npy", np.random.default_rng(1).uniform(size=(200, 3)))
+    configuration = load_configuration(None, ["execution.scheduler=tcp://nobody:1"])
+    report = run([tmp_path / "map.npy"], tmp_path / "out", configuration, StageObserver(Display()))
+    assert any("without the workers of tcp://nobody:1" in each for each in report.warnings)
+
+
+@pytest.mark.parametrize(("most", "warned"), [(10, 1), (30, 0)])
+def test_thousands_of_tiny_tiles_are_warned_of(most, warned, tmp_path):
+    random = np.random.default_rng(1)
+    np.save(tmp_path / "map.npy", random.uniform(size=(20_000, 3)) * [40, 40, 2])
+    asked = [f"tiling.max_points={most}", "output.keep_free=900TiB", "ground.method=none"]
+    configuration = load_configuration(None, [*asked, "execution.cluster=none"])
+    observer = StageObserver(Display())
+    with pytest.raises(DiskSpaceError):  # so that none of them is made
+        run([tmp_path / "map.npy"], tmp_path / "out", configuration, observer)
+    found = [each for each in observer.warnings if "from 20,000 on the run is faster" in each]
+    assert len(found) == warned

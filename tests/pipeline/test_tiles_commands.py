@@ -236,6 +236,8 @@ class TestTile:
         paths = sorted((folder / "chunks").iterdir())
         assert f"{len(paths)} tiles in chunks of it/chunks" in text
         assert len(paths) > 8
+        _, text, _ = call("tile", map_file, "-o", "one", wanted=[*SMALL, "tiling.max_points=5000"])
+        assert "written: 1 tile in one/chunks" in text
         tables = [pq.read_table(path) for path in paths]
         assert tables[0].column_names == ["x", "y", "z", "row", "core"]
         # They are to be kept: small rather than soon written.

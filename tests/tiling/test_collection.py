@@ -71,7 +71,7 @@ def test_a_file_named_outright_is_kept_whatever_its_suffix(folder):
     [
         ("absent.pcd", "no such file or folder"),
         ("deep", "a folder with no files"),
-        ("*.md", "a pattern with 1 other files"),
+        ("*.md", "a pattern with 1 other file and no"),
         ("*.pcd", "a pattern with no files"),
     ],
 )

@@ -139,7 +139,7 @@
     drawSection();
   });
   byId("outside").textContent = facts.outside
-    ? `${written(facts.outside)} of the sampled points lie far away from all others and are not shown.`
+    ? `Not shown, as far away from all others: ${written(facts.outside)} of these points.`
     : "";
 
   // The box that is shown in 3D, and the sliders that set it.

@@ -13,19 +13,24 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.links, self.words, self.open = [], [], []
+        self.links, self.words, self.open, self.goes_on = [], [], [], False
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
         self.links += [value for name, value in attrs if name in ("href", "src")]
-        if tag not in ("meta",):
+        self.goes_on = tag == "wbr"
+        if tag not in ("meta", "wbr"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
+        self.goes_on = False
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        self.words.append(data.strip())
+        if self.goes_on:
+            self.words[-1] += data
+        else:
+            self.words.append(data.strip())
 
 
 def test_every_map_and_its_report_are_on_the_page(place):

@@ -71,6 +71,15 @@ def markers(run):
     return times
 
 
+def test_a_quiet_night_tells_of_what_failed_alone(place, map_bytes):
+    place.write("incoming/a.npy", map_bytes(1, 90))
+    settled(place.write("incoming/bad.npy", "no map"))
+    code, log = ended(night(place, "-q"))
+    assert code == 4
+    assert " INFO " not in log
+    assert log.splitlines()[-1].endswith("1 cleaned, 1 failed; failed: bad.npy")
+
+
 def test_the_command_cleans_skips_and_fails_with_its_exit_codes(place, map_bytes):
     place.write("incoming/a.npy", map_bytes(1, 90))
     settled(place.write("incoming/bad.npy", b"corrupt"))

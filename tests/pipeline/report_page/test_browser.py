@@ -262,6 +262,8 @@ def test_the_view_and_the_places_are_above_the_fold(opened, width):
     assert box["y"] + box["height"] < 900
     if width > 820:
         assert page.locator('[data-place="1"]').bounding_box()["y"] < 300
+        figures = page.locator(".figure").all()
+        assert len({each.bounding_box()["y"] for each in figures}) == 1  # none alone in a row
 
 
 def test_the_swipe_shows_what_is_left_beside_what_was_there(opened):

@@ -222,6 +222,13 @@ def test_the_page_does_not_depend_on_how_the_map_is_cut(cleaned):
     assert facts(whole) | {"apply": None} == facts(tiled) | {"apply": None}
 
 
+def test_numbers_over_the_charts_leave_room_for_their_names(cleaned):
+    told = re.findall(r">([^<]* points · R_i [^<]*)<", page_of(cleaned["whole"]))
+    assert told
+    for words in told:
+        assert re.fullmatch(r"[\d.]+( k)? points · R_i [\d.]{1,4} % · removed [\d.]+( k)?", words)
+
+
 def test_tiles_are_drawn_with_their_points_time_and_state(cleaned):
     page = page_of(cleaned["tiled"])
     tiles = re.findall(r"<title>tile (\d+): ([\d,]+) points, ([\d.]+) s, ([^<]*)</title>", page)
