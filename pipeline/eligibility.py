@@ -60,6 +60,11 @@ def marks(batch: PointBatch, configuration: Configuration) -> NDArray[np.uint8]:
     return found
 
 
+def is_far(xyz: NDArray[np.float64], configuration: Configuration) -> Mask:
+    """Tell which points lie farther from the window than those around it that take part."""
+    return ~configuration.input.in_window(xyz, RIM)
+
+
 def _left_out(batch: PointBatch, parameters: InputParameters) -> Mask:
     """Tell which points are marked as noise or as deleted."""
     out = np.zeros(len(batch.xyz), np.bool_)
@@ -73,19 +78,15 @@ def _left_out(batch: PointBatch, parameters: InputParameters) -> Mask:
 
 
 def warn_of_left_out(
-    count: int, parameters: InputParameters, observer: Observer, outside: int | None = None
+    count: int, outside: int, parameters: InputParameters, observer: Observer
 ) -> None:
-    """Say how many points are left out, if any are: those outside the window apart, where known."""
+    """Say how many points are left out, if any are: those outside the window apart."""
     window = [f"more than {RIM:g} m outside the window"] if parameters.has_window else []
     classes = ", ".join(map(str, parameters.leave_out))
     marks = [f"of class {classes}"] if classes else []
     marks += ["withheld"] if parameters.leave_out_withheld else []
-    if outside is None:
-        keys = "input.window, input.leave_out" if window else "input.leave_out"
-        _say_left_out(count, [*window, *marks], keys, observer)
-    else:
-        _say_left_out(outside, window, "input.window", observer)
-        _say_left_out(count - outside, marks, "input.leave_out", observer)
+    _say_left_out(outside, window, "input.window", observer)
+    _say_left_out(count - outside, marks, "input.leave_out", observer)
 
 
 def _say_left_out(count: int, marks: Sequence[str], keys: str, observer: Observer) -> None:
@@ -156,8 +157,8 @@ class Watcher:
 
     Attributes
     ----------
-    left_out, protected : int
-        Points that were marked so.
+    left_out, protected, outside : int
+        Points that were marked so; of those left out, the ones far from the window.
     """
 
     def __init__(
@@ -166,7 +167,7 @@ class Watcher:
         note: Callable[[int, NDArray[np.uint8]], None] | None = None,
     ) -> None:
         self.outskirts = Outskirts(configuration.neighbours.k)
-        self.left_out = self.protected = 0
+        self.left_out = self.protected = self.outside = 0
         self._configuration = configuration
         self._note = note
 
@@ -179,6 +180,7 @@ class Watcher:
             if found.any():
                 out = found == LEFT_OUT
                 self.left_out += int(np.count_nonzero(out))
+                self.outside += int(np.count_nonzero(seen & is_far(batch.xyz, self._configuration)))
                 self.protected += int(np.count_nonzero(found == PROTECTED))
                 seen &= ~out
                 if self._note is not None:

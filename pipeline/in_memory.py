@@ -13,7 +13,7 @@ from dynahull.evidence.range_images import draw_images
 from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.configuration.run import Configuration
-from pipeline.eligibility import LEFT_OUT, PROTECTED, RIM, check_parts, marks, warn_of_left_out
+from pipeline.eligibility import LEFT_OUT, PROTECTED, check_parts, is_far, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import PointScores
@@ -45,9 +45,8 @@ def clean_in_memory(
     points, classes, marked, scan = _read(collection, configuration, source, observer)
     unwanted, valid = marked == LEFT_OUT, valid_points(points)
     count = int(np.count_nonzero(unwanted & valid))
-    far = ~configuration.input.in_window(points, RIM)
-    outside = int(np.count_nonzero(valid & far))
-    warn_of_left_out(count, configuration.input, observer, outside)
+    outside = int(np.count_nonzero(valid & is_far(points, configuration)))
+    warn_of_left_out(count, outside, configuration.input, observer)
     within = points[valid & ~unwanted]
     low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
     check_parts(low, high, configuration, observer)

@@ -124,9 +124,9 @@ def _read_run(folder: Path) -> _RunFolder | None:
             originals=tuple(Path(file["path"]) for file in files),
             labels=folder / LABELS_FILE,
         )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise EvaluationError(
-            f"{folder / RUN_FILE}: expected the report of a run, found {error!r}"
+            f"{folder / RUN_FILE}: expected the report of a run, found a damaged file"
         ) from None
 
 

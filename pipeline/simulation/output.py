@@ -209,9 +209,8 @@ def write_simulation(
             if not map_only:
                 _write_low_activity(parameters, files)
     except OSError as error:
-        raise OutputError(
-            f"{folder}: expected a folder to write in, found {error.strerror or error}"
-        ) from error
+        found = "a file" if folder.is_file() else error.strerror or error
+        raise OutputError(f"{folder}: expected a folder to write in, found {found}") from error
     return SimulationFiles(folder)
 
 

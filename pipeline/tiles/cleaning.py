@@ -227,9 +227,9 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
 def _whole_survey(
     job: Job, reports: Iterator[tuple[int, TaskReport]]
 ) -> tuple[Survey, Strays, list[int]]:
-    """Put the surveys of all ranges of rows together; count points left out and protected."""
+    """Put the surveys of all ranges of rows together; count those that are marked."""
     outskirts = Outskirts(job.configuration.neighbours.k)
-    marked = [0, 0]
+    marked = [0, 0, 0]
 
     def surveys() -> Iterator[Survey]:
         for number, report in reports:

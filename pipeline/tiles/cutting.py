@@ -45,6 +45,8 @@ class SetAside:
     left_out: int
     protected: int
     """Points that are marked so."""
+    outside: int
+    """Of those left out, the ones far from the window."""
 
     @property
     def unscored(self) -> int:
@@ -52,17 +54,17 @@ class SetAside:
         return self.left_out + len(self.strays)
 
 
-def save_set_aside(job: Job, strays: Strays, left_out: int, protected: int) -> None:
+def save_set_aside(job: Job, strays: Strays, left_out: int, protected: int, outside: int) -> None:
     """Keep what all ranges of rows together say."""
     values = {"heap": strays.heap, "strays": strays.rows.tolist(), "left_out": left_out}
-    values["protected"] = protected
+    values |= {"protected": protected, "outside": outside}
     write_sealed(job.root / SET_ASIDE_FILE, values)
 
 
 def warn_of_set_aside(job: Job, observer: Observer) -> None:
     """Say which points take no part."""
     known = set_aside(job)
-    warn_of_left_out(known.left_out, job.configuration.input, observer)
+    warn_of_left_out(known.left_out, known.outside, job.configuration.input, observer)
     warn_of_strays(known.heap, len(known.strays), observer)
 
 
@@ -76,7 +78,8 @@ def set_aside(job: Job) -> SetAside:
 def _read(path: Path, _changed: int) -> SetAside:
     stored = read_sealed(path)
     strays = np.array(stored["strays"], np.int64)
-    return SetAside(stored["heap"], strays, stored["left_out"], stored["protected"])
+    counts = (stored[name] for name in ("left_out", "protected", "outside"))
+    return SetAside(stored["heap"], strays, *counts)
 
 
 class PointsTakingPart:
@@ -152,7 +155,7 @@ def survey_rows(job: Job, number: int) -> TaskReport:
     coordinates = Voxels.merged(counts).to_arrays(COORDINATES)
     strays = watcher.outskirts.to_arrays()
     job.work.save("survey", number, **survey.to_arrays(), **strays, **coordinates)
-    return TaskReport(len(rows), (watcher.left_out, watcher.protected))
+    return TaskReport(len(rows), (watcher.left_out, watcher.protected, watcher.outside))
 
 
 def _values_kept(

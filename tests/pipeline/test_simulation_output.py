@@ -197,6 +197,8 @@ def test_folder_that_cannot_be_made_is_one_clear_line(tmp_path):
     (tmp_path / "taken").write_text("a file")
     with pytest.raises(OutputError, match=r"taken/sub: expected a folder to write in, found Not a"):
         write_simulation(SMALL, tmp_path / "taken" / "sub")
+    with pytest.raises(OutputError, match=r"taken: expected a folder to write in, found a file$"):
+        write_simulation(SMALL, tmp_path / "taken")
 
 
 @pytest.mark.parametrize("ranges", [{"max_range": 0.1}, {"min_range": 5.0, "max_range": 1.0}])

@@ -107,7 +107,8 @@ class TestCases:
         assert "metre" in said.system
 
 
-def test_noise_and_what_lies_outside_the_window_are_counted_apart(tmp_path):
+@pytest.mark.parametrize("max_points", [IN_MEMORY, IN_TILES])
+def test_noise_and_what_lies_outside_the_window_are_counted_apart(tmp_path, max_points):
     xyz = np.random.default_rng(2).uniform(size=(4000, 3)) * [60, 20, 3]
     las = laspy.create(point_format=6, file_version="1.4")
     las.header.scales = [0.001] * 3
@@ -115,7 +116,7 @@ def test_noise_and_what_lies_outside_the_window_are_counted_apart(tmp_path):
     las.classification = np.where(np.arange(4000) % 50, 1, 7)
     las.write(tmp_path / "map.las")
     window = "input.window=[0, 0, 20, 20]"
-    report, labels, _ = labelled(tmp_path / "map.las", tmp_path / "o", IN_MEMORY, window)
+    report, labels, _ = labelled(tmp_path / "map.las", tmp_path / "o", max_points, window)
     outside = las.x >= 30
     noise = (las.classification == 7) & ~outside
     told = [each for each in report.warnings if "left out of the decision" in each]
