@@ -47,10 +47,11 @@ def clean_in_memory(
     count = int(np.count_nonzero(unwanted & valid))
     outside = int(np.count_nonzero(valid & is_far(points, configuration)))
     warn_of_left_out(count, outside, configuration.input, observer)
-    within = points[valid & ~unwanted]
+    deciding = valid & ~unwanted
+    within = points if deciding.all() else points[deciding]
     low, high = within.min(axis=0, initial=np.inf), within.max(axis=0, initial=-np.inf)
     check_parts(low, high, configuration, observer)
-    del within
+    del within, deciding
     sample = points[:: max(len(points) // _LOOKED_AT, 1)]
     for note in coarse_step_notes(collection, typical_place(sample), collection.metres):
         observer.warn(note)
