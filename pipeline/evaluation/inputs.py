@@ -17,7 +17,7 @@ from pipeline.evaluation.labels import (
 )
 from pipeline.evaluation.options import EvaluationOptions
 from pipeline.outputs.reading import label_batches, row_columns
-from pipeline.replacing import LABELS_FILE, RUN_FILE
+from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.parquet_tables import row_count
@@ -125,9 +125,7 @@ def _read_run(folder: Path) -> _RunFolder | None:
             labels=folder / LABELS_FILE,
         )
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise EvaluationError(
-            f"{folder / RUN_FILE}: expected the report of a run, found a damaged file"
-        ) from None
+        raise EvaluationError(no_result(folder)) from None
 
 
 def _original(original: str | None, run: _RunFolder | None) -> MapCollection | None:

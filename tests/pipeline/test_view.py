@@ -95,8 +95,10 @@ def test_labels_of_other_points_are_refused(tmp_path):
 
 @pytest.mark.parametrize("content", ["[]", "{}", "nothing", '{"files": 3}'])
 def test_a_folder_without_a_result_is_refused(tmp_path, content):
-    (tmp_path / "run.json").write_text(content)
     with pytest.raises(OutputError, match=r"found no run\.json"):
+        read_result(tmp_path)
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(OutputError, match=r"run\.json: .* found a damaged file"):
         read_result(tmp_path)
 
 
