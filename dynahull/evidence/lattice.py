@@ -47,7 +47,7 @@ class Voxels(Summary):
             In any order; a cell may come many times.
         values : (n, C) int64 array
         """
-        cells, numbers = _in_order(cells)
+        cells, numbers = unique_cells(cells)
         return cls(cells, added(values, numbers, len(cells), cls.marks))
 
     @classmethod
@@ -64,7 +64,7 @@ class Voxels(Summary):
 
     def coarser(self) -> tuple[Self, npt.NDArray[np.int32]]:
         """Return the voxels of twice the side, and in which of them each of these lies."""
-        cells, numbers = _in_order(self.cells >> 1)
+        cells, numbers = unique_cells(self.cells >> 1)
         return type(self)(cells, added(self.sums, numbers, len(cells), self.marks)), numbers
 
     def around(self, wanted: npt.NDArray[np.bool_] | None = None) -> Integers:
@@ -94,49 +94,9 @@ def _find_cells(points: Floats, side: float, cells: Cells) -> None:
             cells[i, axis] = np.int32(min(max(cell, -FARTHEST_CELL), FARTHEST_CELL))
 
 
-@compiled
-def number_cells(cells: Cells) -> tuple[npt.NDArray[np.int32], Integers]:
-    """Return a number for each cell, in the order in which they come, and where each is first."""
-    size = 1024
-    table = np.full(size, -1, np.int32)
-    firsts = np.empty(size // 2, np.int64)
-    numbers = np.empty(len(cells), np.int32)
-    count = 0
-    for point in range(len(cells)):
-        i, j, k = cells[point, 0], cells[point, 1], cells[point, 2]
-        place = hash_of(i, j, k) & (size - 1)
-        while True:
-            number = table[place]
-            if number < 0:
-                break
-            first = firsts[number]
-            if cells[first, 0] == i and cells[first, 1] == j and cells[first, 2] == k:
-                break
-            place = (place + 1) & (size - 1)
-        if number < 0:
-            number = np.int32(count)
-            table[place] = number
-            firsts[count] = point
-            count += 1
-            if count == len(firsts):
-                size *= 4
-                table = np.full(size, -1, np.int32)
-                larger = np.empty(size // 2, np.int64)
-                larger[:count] = firsts
-                firsts = larger
-                for again in range(count):
-                    first = firsts[again]
-                    place = hash_of(cells[first, 0], cells[first, 1], cells[first, 2]) & (size - 1)
-                    while table[place] >= 0:
-                        place = (place + 1) & (size - 1)
-                    table[place] = np.int32(again)
-        numbers[point] = number
-    return numbers, firsts[:count].copy()
-
-
-def _in_order(cells: Cells) -> tuple[Cells, npt.NDArray[np.int32]]:
+def unique_cells(cells: Cells) -> tuple[Cells, npt.NDArray[np.int32]]:
     """Return the cells that come, each once and in order, and which of them each that came is."""
-    firsts, numbers = _number_in_order(cells, _order_of(cells))
+    firsts, numbers = _numbered(cells, _order_of(cells))
     return cells[firsts], numbers
 
 
@@ -161,9 +121,7 @@ def _keys(cells: Cells, low: Integers, spans: Integers) -> Integers:
 
 
 @compiled
-def _number_in_order(
-    cells: Cells, order: npt.NDArray[np.intp]
-) -> tuple[Integers, npt.NDArray[np.int32]]:
+def _numbered(cells: Cells, order: npt.NDArray[np.intp]) -> tuple[Integers, npt.NDArray[np.int32]]:
     firsts = np.empty(len(order), np.int64)
     numbers = np.empty(len(order), np.int32)
     count = 0

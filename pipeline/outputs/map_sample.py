@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.evidence.lattice import cells_of, number_cells
+from dynahull.evidence.lattice import cells_of, unique_cells
 from dynahull.evidence.range_images import MET, THROUGH, Views
 from dynahull.evidence.summaries import FINEST
 from dynahull.labels import Label
@@ -92,9 +92,8 @@ class MapSample:
         """Add the scan of each point, and what all scans saw of its voxel."""
         if views is None:
             return replace(self, scan=scan)
-        cells = cells_of(self.xyz, FINEST)
-        numbers, firsts = number_cells(cells)
-        counts = views.count(cells[firsts], FINEST, threads)[numbers]
+        cells, numbers = unique_cells(cells_of(self.xyz, FINEST))
+        counts = views.count(cells, FINEST, threads)[numbers]
         return replace(self, scan=scan, met=counts[:, MET], through=counts[:, THROUGH])
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

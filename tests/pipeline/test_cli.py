@@ -242,6 +242,25 @@ def test_a_setting_that_nothing_looks_at_is_refused(words, map_file, call_here):
     assert "run with -c auto" in done.stderr
 
 
+@pytest.mark.parametrize("command", ["run", "submit", "preview"])
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--window", "5", "5", "0", "0"), ""),
+        (("--height", "2", "0"), "lower number first"),
+        (("--protect", "none.geojson"), "none.geojson"),
+    ],
+)
+def test_every_command_looks_at_the_part_that_is_asked_for(
+    command, words, told, map_file, call_here
+):
+    where = ("--cluster", "slurm", "--dry-run") if command == "submit" else ()
+    done = call_here(command, *where, *words, map_file)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert told in done.stderr
+
+
 def test_a_confidence_is_given_to_a_run_as_to_apply(map_file, call_here, tmp_path):
     done = call_here("run", map_file, "-c", "auto", "--confidence", "0.9", "-o", "sure")
     assert done.returncode == 0
