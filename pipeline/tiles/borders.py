@@ -20,6 +20,7 @@ from dynahull.parameters import MethodParameters
 from dynahull.reference import reference_densities
 from dynahull.result import NO_CLUSTER
 from pipeline.tiles.nearest import FreePoints, NearestSoFar, Vicinity
+from tiling.sorted_points import Near
 
 _QUERIES_AT_A_TIME = 4_096
 
@@ -60,6 +61,10 @@ class Region:
         along_x = (x >= self.low[0]) & (x < self.high[0])
         return np.asarray(along_x & (y >= self.low[1]) & (y < self.high[1]))
 
+    def meets(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which boxes, low (m, 2) and high (m, 2), it meets."""
+        return np.asarray(((low <= self.high) & (high >= self.low)).all(axis=1))
+
 
 class OtherTiles(Protocol):
     """The rest of the map, read when it is needed."""
@@ -70,8 +75,8 @@ class OtherTiles(Protocol):
     def box(self, tile: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the core of a tile: low (2,), high (2,)."""
 
-    def free_points(self, tile: int) -> FreePoints:
-        """Return the ground-free points of a tile's core."""
+    def free_points(self, tile: int, near: Near) -> FreePoints:
+        """Return the ground-free points of a tile's core that are near, and perhaps others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,14 +235,19 @@ class _Rest:
         """
         nothing = self._known.select(np.zeros(0, np.intp))
         gathered = {cluster: [nothing] for cluster, _ in vicinities}
+
+        def near(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_]:
+            met = [each.meets(low, high) for each in vicinities.values()]
+            return np.asarray(np.any(met, axis=0))
+
         for tile in self._others_met(list(vicinities.values())):
-            points = self._others.free_points(tile)
+            points = self._others.free_points(tile, near)
             from_border = -self._region.distance_to_border(points.xyz)
-            near = np.zeros(len(points), np.bool_)
+            held = np.zeros(len(points), np.bool_)
             for vicinity in vicinities.values():
                 close = np.flatnonzero(from_border <= 1.001 * vicinity.reach)
-                near[close] |= vicinity.holds(points.xyz.take(close, axis=0))
-            points = points.select(near)
+                held[close] |= vicinity.holds(points.xyz.take(close, axis=0))
+            points = points.select(held)
             points = points.select(~self._region.holds(points.xyz))
             membership = self._clusters.nearest(points.xyz)
             for cluster, parts in gathered.items():
@@ -262,8 +272,8 @@ class _Rest:
         low = np.min([vicinity.low for vicinity in vicinities], axis=0)
         high = np.max([vicinity.high for vicinity in vicinities], axis=0)
         for tile in self._others.near(low, high):
-            box = self._others.box(tile)
-            if any(vicinity.meets(*box) for vicinity in vicinities):
+            low, high = (corner[None] for corner in self._others.box(tile))
+            if any(vicinity.meets(low, high)[0] for vicinity in vicinities):
                 yield tile
 
     def wherever(self, queries: NDArray[np.intp], reach: NDArray[np.float64]) -> _Found:
@@ -288,9 +298,10 @@ class _Rest:
             }
             if not reaching:
                 continue
-            points = self._others.free_points(tile)
             low, high = _bounds_of_all(searches[cluster] for cluster in reaching)
-            within = Region(low, np.nextafter(high, np.inf)).holds(points.xyz)
+            reached = Region(low, np.nextafter(high, np.inf))
+            points = self._others.free_points(tile, reached.meets)
+            within = reached.holds(points.xyz)
             points = points.select(within & ~self._region.holds(points.xyz))
             membership = self._clusters.nearest(points.xyz)
             for cluster, slots in reaching.items():

@@ -85,6 +85,7 @@ def clean_tiles(
     _set_ground_aside(job, executor, observer, tiles)
     find_clusters(job, observer)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
+    job.remove_spent("free")
     if job.configuration.removal.weighs_evidence:
         draw_range_images(job)
         reports = do_stage(job, executor, observer, "evidence", tiles)

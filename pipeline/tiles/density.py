@@ -15,7 +15,8 @@ from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summaris
 from dynahull.labels import Label
 from dynahull.warn import density_levels
 from pipeline.tiles.borders import CoreDensities, Region, core_densities
-from pipeline.tiles.ground import SAMPLE_NAMES, TilesAround, labelled_points, own_points, region_of
+from pipeline.tiles.free_points import TilesAround
+from pipeline.tiles.ground import SAMPLE_NAMES, labelled_points, own_points, region_of
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job

@@ -4,7 +4,6 @@ A tile reduces its columns once to what the ground step looks at from afar, and 
 own points by that of all tiles around: see `dynahull.ground`.
 """
 
-from collections.abc import Sequence
 from itertools import chain
 from typing import Any
 
@@ -19,6 +18,7 @@ from dynahull.ground.slope import GroundSummary
 from dynahull.labels import Label
 from dynahull.summary import Summary
 from pipeline.tiles.borders import Region
+from pipeline.tiles.free_points import save_free_points
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
@@ -57,6 +57,7 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         arrays |= floors.to_arrays(_FLOORS)
     if job.labelling == "ground":
         arrays |= _sample(job, chunk, labels)
+        save_free_points(job, tile, _own(chunk, labels))
     job.work.save("ground", tile, **arrays)
     count = int(job.store.layout.counts[tile])
     return TaskReport(count, (int(np.count_nonzero(ground & chunk.core)),))
@@ -70,6 +71,7 @@ def find_high(job: Job, tile: int) -> TaskReport:
     limit = job.configuration.max_height
     height = heights_of(job, tile, chunk.xyz[free])
     labels[free[height > (np.inf if limit is None else limit)]] = Label.ABOVE
+    save_free_points(job, tile, _own(chunk, labels))
     job.work.save("height", tile, **{LABELS: labels}, **_sample(job, chunk, labels))
     return TaskReport(int(job.store.layout.counts[tile]))
 
@@ -158,37 +160,9 @@ def labelled_points(job: Job, tile: int) -> tuple[Chunk, NDArray[np.uint8]]:
 
 def own_points(job: Job, tile: int) -> FreePoints:
     """Return the ground-free points of a tile's core."""
-    chunk, labels = labelled_points(job, tile)
+    return _own(*labelled_points(job, tile))
+
+
+def _own(chunk: Chunk, labels: NDArray[np.uint8]) -> FreePoints:
     own = np.flatnonzero(chunk.core & (labels == Label.STATIC))
     return FreePoints(chunk.xyz.take(own, axis=0), chunk.rows.take(own))
-
-
-class TilesAround:
-    """The ground-free points of all tiles but one, from their files; see `borders.OtherTiles`."""
-
-    def __init__(self, job: Job, tile: int | None) -> None:
-        self._job = job
-        self._layout = job.store.layout
-        self._tile = tile
-        self._latest: dict[int, FreePoints] = {}
-
-    def near(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> Sequence[int]:
-        """Return the other tiles whose core meets a box."""
-        tiles: list[int] = self._layout.near(low, high).tolist()
-        return [tile for tile in tiles if tile != self._tile]
-
-    def box(self, tile: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the core of a tile."""
-        return self._layout.low[tile], self._layout.high[tile]
-
-    def free_points(self, tile: int) -> FreePoints:
-        """Return the ground-free points of a tile's core."""
-        if tile not in self._latest:
-            if len(self._latest) >= _TILES_HELD:
-                self._latest.pop(next(iter(self._latest)))
-            self._latest[tile] = own_points(self._job, tile)
-        return self._latest[tile]
-
-
-_TILES_HELD = 2
-"""Further tiles held in memory at a time: clusters and batches of one tile ask for the same."""

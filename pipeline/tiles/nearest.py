@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,22 +72,33 @@ class Vicinity:
 
     def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which of other points lie there, (m,) bool."""
-        place = (xyz[:, :2] - self.low) / self._cell
-        found: NDArray[np.bool_] = ((place >= 0) & (place < self._marked.shape)).all(axis=1)
-        cells = place[found].astype(np.int64)
-        found[found] = self._marked[cells[:, 0], cells[:, 1]]
-        return found
+        x, y = ((xyz[:, axis] - self.low[axis]) / self._cell for axis in range(2))
+        wide, high = self._marked.shape
+        found = np.flatnonzero((x >= 0) & (x < wide) & (y >= 0) & (y < high))
+        held = np.zeros(len(xyz), np.bool_)
+        cells = x.take(found).astype(np.int64), y.take(found).astype(np.int64)
+        held[found] = self._marked[cells]
+        return held
 
-    def meets(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
-        """Tell whether a box, which may be infinite, meets it."""
-        first = np.maximum((low - self.low) / self._cell, 0)
-        last = np.minimum((high - self.low) / self._cell, np.array(self._marked.shape))
-        if (first > last).any():
-            return False
+    def meets(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which boxes, low (m, 2) and high (m, 2), which may be infinite, meet it."""
+        shape = np.array(self._marked.shape)
         # A cell more on either side, for the rounding of the box's place.
-        from_x, from_y = np.maximum(first.astype(np.int64) - 1, 0)
-        to_x, to_y = last.astype(np.int64) + 2
-        return bool(self._marked[from_x:to_x, from_y:to_y].any())
+        first = np.clip((low - self.low) / self._cell - 1, 0, shape).astype(np.int64)
+        end = np.clip((high - self.low) / self._cell + 2, 0, shape).astype(np.int64)
+        end, below = np.maximum(end, first), self._below
+        x, y, beyond_x, beyond_y = first[:, 0], first[:, 1], end[:, 0], end[:, 1]
+        marked = below[beyond_x, beyond_y] - below[x, beyond_y]
+        marked -= below[beyond_x, y] - below[x, y]
+        return np.asarray(marked > 0)
+
+    @cached_property
+    def _below(self) -> NDArray[np.int32]:
+        """How many cells are marked below and left of each corner."""
+        below = np.zeros([side + 1 for side in self._marked.shape], np.int32)
+        np.cumsum(self._marked, axis=0, out=below[1:, 1:])
+        np.cumsum(below[1:, 1:], axis=1, out=below[1:, 1:])
+        return below
 
 
 class NearestSoFar:

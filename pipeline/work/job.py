@@ -17,7 +17,7 @@ from pipeline.errors import InputChangedError
 from pipeline.scan_source import ScanSource
 from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
-from pipeline.work.folder import ARRAYS, WorkFolder
+from pipeline.work.folder import WorkFolder
 from pipeline.work.map_state import MapState
 from tiling.chunks import ChunkStore
 from tiling.collection import MapCollection
@@ -36,7 +36,7 @@ TIMING, PLANNING, FITTING, IMAGING, CREATING = STEPS = (
 """Steps that are about the whole map and are not shared out: what tells when points were seen,
 tiles, clusters, range images, outputs in parts."""
 
-LAST_READ_BY = {"cut": "chunk", "columns": "ground", "spread": "evidence"}
+LAST_READ_BY = {"cut": "chunk", "columns": "ground", "free": "density", "spread": "evidence"}
 """Folders of what is large and soon needed no more, and the stage that is the last to read it."""
 
 ROWS_AT_A_TIME = 500_000
@@ -174,8 +174,9 @@ class Job:
     def remove_spent(self, folder: str) -> None:
         """Remove what is needed no more; a run that goes on does not miss it."""
         if self.is_spent(folder):
-            for path in (self.root / folder).glob(f"[!.]*{ARRAYS}"):
-                path.unlink()
+            for path in (self.root / folder).glob("[!.]*"):
+                if path.suffix not in (".done", ".failed"):
+                    path.unlink()
 
     def rows_path(self, name: str) -> Path:
         """Return the file of one value a row: `label`, `density`, `scan` and so on."""

@@ -31,8 +31,9 @@ class Grid:
             if tile != self.own and (first <= high).all() and (last >= low).all()
         ]  # fmt: skip
 
-    def free_points(self, tile):
-        return self.points.select((self.cells == self.names[tile]).all(axis=1))
+    def free_points(self, tile, near):
+        own = self.points.select((self.cells == self.names[tile]).all(axis=1))
+        return own.select(near(own.xyz[:, :2], own.xyz[:, :2]))
 
     def scored(self, tile, clusters, parameters):
         """Score one tile as a run does."""

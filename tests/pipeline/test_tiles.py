@@ -207,8 +207,9 @@ def test_hundreds_of_tiles_of_a_room_are_the_room(decision, room_file, tmp_path)
     _, table, chunks = tiled([room_file], tmp_path / "out", 4, "tiling.halo=0.05", *wanted)
     assert len(chunks) > 200
     assert_same(table, in_memory([room_file], *wanted))
-    for spent in ("cut", "columns", "spread"):  # what is needed no more is gone
-        assert not list((tmp_path / "out/.dynahull-work" / spent).glob("*.arrays"))
+    for spent in ("cut", "columns", "free", "spread"):  # what is needed no more is gone
+        kept = (tmp_path / "out/.dynahull-work" / spent).glob("*")
+        assert {path.suffix for path in kept} <= {".done"}
 
 
 def test_what_the_scans_say_counts_and_is_the_same_over_tiles(tmp_path):

@@ -243,7 +243,7 @@ def test_damage_under_a_running_run_is_not_blamed_on_the_map(
             def damaging(job, number, task=task, damage=damage, name=name):
                 path = job.root / name
                 if path.exists() and path.stat().st_size:
-                    damage(path, 0.1)  # all that is there is needed
+                    damage(path, 0.01)  # all that is there is needed
                 return task(job, number)
 
             with monkeypatch.context() as patch:
