@@ -31,7 +31,7 @@ from benchmarks.training.judging import (
     reliability,
 )
 from benchmarks.training.maps import TrainingMap, training_maps
-from dynahull.evidence.model import MAP_ONLY, MODELS, AskedTerms
+from dynahull.evidence.model import MAP_FILE, MAP_ONLY, MODELS, AskedTerms
 from dynahull.parameters import RemovalParameters
 
 
@@ -52,7 +52,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.keep or Path(temporary)
         begun = time.monotonic()
-        maps = list(training_maps(seeds, folder, arguments.workers))
+        wants_scans = arguments.models != [MAP_FILE]
+        maps = list(training_maps(seeds, folder, arguments.workers, wants_scans))
         points = sum(len(each.xyz) for each in maps)
         print(f"{len(maps)} maps, {points:,} scored points, {time.monotonic() - begun:.0f} s")
         timed = [each for each in maps if each.is_timed]

@@ -37,9 +37,12 @@ _PIECE_BYTES = 32
 _CHUNK_BYTES = {"parquet": 24, "las": 40, "laz": 40}
 """The same in chunks, at most."""
 
-_COLUMN_BYTES, _FREE_BYTES, _LABEL_BYTES = 26, 14, 18
-"""A point of the map in what tasks keep of it once the pieces are gone: columns, at most, and
-ground-free points, as most maps compress; later, when these are gone too, densities and labels."""
+_COLUMN_BYTES, _LABEL_BYTES = 26, 18
+"""A point of the map in what tasks keep of it once the pieces are gone, at most: columns; later,
+when these are gone too, densities and labels."""
+
+_FREE_BYTES, _SQUEEZED_FREE_BYTES = 33, 14
+"""Beside the columns: a ground-free point; one of a compressed map, whose coordinates compress."""
 
 _SCORE_BYTES = 40
 """More, where scores are written."""
@@ -174,8 +177,10 @@ def make_plan(
     if viewpoints is not None:
         later, images = later + core * _SCAN_BYTES + viewpoints * IMAGE_BYTES, HELD_BYTES
     chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
-    most = max(all_held * _PIECE_BYTES, core * (_COLUMN_BYTES + _FREE_BYTES), later)
-    disk = chunks + most + bytes_kept(collection)
+    decoded = bytes_kept(collection)
+    free = _SQUEEZED_FREE_BYTES if decoded else _FREE_BYTES
+    most = max(all_held * _PIECE_BYTES, core * (_COLUMN_BYTES + free), later)
+    disk = chunks + most + decoded
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     seconds += len(held) * _MICROSECONDS_A_TILE
     return Plan(

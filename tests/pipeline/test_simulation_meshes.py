@@ -276,6 +276,8 @@ def test_random_parameters_are_drawn_widely_and_again_the_same():
     assert any(each.people == 0 and each.vehicles == 0 for each in drawn)
     assert any(each.people > 60 for each in drawn)
     assert any(each.voxel for each in drawn) and any(each.loop_gap for each in drawn)
+    standing = [each.jitter_position for each in drawn if each.mode is DriveMode.STAND]
+    assert min(standing) == 0 < max(standing)  # on a tripod, or not
     assert random_parameters(7, kind=MeshSceneKind.PARK).kind is MeshSceneKind.PARK
 
 

@@ -364,10 +364,10 @@ def hedge(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None
     stage.mesh(Mesh.joined(parts), Surface.VEGETATION)
 
 
-def bush(stage: Stage, at: At) -> None:
+def bush(stage: Stage, at: At, size: float = 1.0) -> None:
     """Place a bush."""
     random, u = stage.random, stage.random.uniform
-    wide, tall = u(0.4, 1.3), u(0.5, 1.8)
+    wide, tall = size * u(0.4, 1.3), size * u(0.5, 1.8)
     clump = leaves(random, int(250 * wide * tall) + 50, [wide, wide * u(0.6, 1), tall / 2],
                    u(0.04, 0.1), u(0.2, 0.7))  # fmt: skip
     place(stage, clump.placed(0, 0, tall / 2), at, Surface.VEGETATION)

@@ -201,7 +201,7 @@ def random_parameters(
         str(random.choice(["vlp16", "vlp16", "ring32", "ring64", "os64", "mid360", "mid360"]))
     )
     kind, sensor = kind or drawn_kind, sensor or drawn_sensor
-    shares = [0.1, 0.15, 0.75] if kind is MeshSceneKind.ROOM else [0.45, 0.3, 0.25]
+    shares = [0.1, 0.2, 0.7] if kind is MeshSceneKind.ROOM else [0.5, 0.35, 0.15]
     mode = DriveMode(str(random.choice(["through", "stop_and_go", "stand"], p=shares)))
     outdoors = not kind.indoors
     vehicle = outdoors and random.random() < 0.5
@@ -213,11 +213,11 @@ def random_parameters(
     good = random.random() < 0.5  # a map as one hopes for: whole scans, small drift, no filter
     scans = int(np.exp(u(np.log(60), np.log(300 if good else 500))))
     total = np.exp(u(np.log(2e6), np.log(4e6)) if good else u(np.log(4e5), np.log(3e6)))
-    if random.random() < 0.2:  # a short, hurried drive: most places are hardly scanned
+    if random.random() < 0.25:  # a short, hurried drive: most places are hardly scanned
         scans = int(np.exp(u(np.log(6), np.log(60))))
         total = np.exp(u(np.log(8e4), np.log(6e5)))
     elif mode is DriveMode.STAND:  # sees the same walls again and again
-        total *= u(1, 6)
+        total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     drawn: dict[str, Any] = {
         "kind": kind,
@@ -230,10 +230,12 @@ def random_parameters(
     # In this order: what is drawn later follows from what was drawn before.
     drawn |= _way_of_sensor(random, sensor, vehicle, keyed)
     drawn |= _measurements(random)
-    if sensor is SensorKind.RING64 and outdoors:  # looks 2 degrees up: stands high, or on a car
+    if sensor is SensorKind.RING64:  # looks 2 degrees up: stands as high as people, or on a car
         drawn["sensor_height"] = max(drawn["sensor_height"], float(u(1.2, 1.9)))
     drawn |= _what_moves(random, mode, outdoors, 0 if still else people, still)
     drawn |= _map_of_scans(random, good, voxel)
+    if mode is DriveMode.STAND:
+        drawn |= _standing(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(98,))))
     return MeshParameters.model_validate(drawn)
 
 
@@ -253,6 +255,20 @@ def _way_of_sensor(
         "wobble": float(u(0.5, 5)) if not vehicle and random.random() < 0.3 else float(u(0, 0.3)),
         "own_body": float(u(1.2, 2.5) if vehicle else u(0.25, 0.5)),
     }
+
+
+def _standing(random: np.random.Generator) -> dict[str, Any]:
+    """Draw who passes by a sensor that stands, and whether its scans need no registration."""
+    u = random.uniform
+    drawn: dict[str, Any] = {}
+    if random.random() < 0.6:  # on a tripod: rays meet the same places again and again
+        drawn |= {
+            "range_noise": float(np.exp(u(np.log(0.0005), np.log(0.01)))),
+            "angle_noise": float(u(0.0, 0.01)),
+        }
+        still = ("drift_position", "drift_angle", "jitter_position", "jitter_angle")
+        drawn |= dict.fromkeys((*still, "wobble", "loop_gap"), 0.0)
+    return drawn | {"visiting": float(u(0, 1)) if random.random() < 0.6 else 0.0}
 
 
 def _measurements(random: np.random.Generator) -> dict[str, Any]:
@@ -276,8 +292,7 @@ def _what_moves(
     u = random.uniform
     return {
         "people": people,
-        "lingering": float(u(0.0, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
-        "visiting": float(u(0, 1)) if random.random() < 0.4 else 0.0,
+        "lingering": float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
         "seated": int(u(0, 8)) if random.random() < 0.5 else 0,
         "vehicles": 0
         if still

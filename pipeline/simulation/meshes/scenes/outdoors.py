@@ -28,10 +28,11 @@ def street(stage: Stage, told: MeshParameters) -> None:
     half = u(3.0, 6.0)
     pavements = [u(2.0, 5.0), u(2.0, 5.0)]
     slope = u(-0.04, 0.04) if random.random() < 0.6 else 0.0
+    green = u(0.3, 1.0) if random.random() < 0.5 else 0.2  # gardens instead of houses
     _ground(stage, long, half, pavements, slope)
     for side, wide in zip((1.0, -1.0), pavements, strict=True):
         inner, outer = half, half + wide
-        _facades(stage, long, side, outer, slope)
+        _facades(stage, long, side, outer, slope, green)
         _parked(stage, long, side, inner, slope)
         _pavement_things(stage, told, long, side, inner, outer, slope)
         bounds = (0.0, min(side * inner, side * outer), long, max(side * inner, side * outer))
@@ -70,14 +71,16 @@ def _ground(stage: Stage, long: float, half: float, pavements: list[float], slop
     stage.mesh(sheet(grid), Surface.FLOOR, albedo=float(stage.random.uniform(0.1, 0.4)))
 
 
-def _facades(stage: Stage, long: float, side: float, edge: float, slope: float) -> None:
+def _facades(
+    stage: Stage, long: float, side: float, edge: float, slope: float, green: float
+) -> None:
     """Put houses side by side, with recesses, windows, balconies and gaps with fences."""
     random, u = stage.random, stage.random.uniform
     x = -20.0
     while x < long + 20:
         wide = u(6, 20)
         base = slope * (x + wide / 2) + _KERB
-        if random.random() < 0.2:
+        if random.random() < green:
             _garden(stage, x, x + wide, side, edge, base)
         else:
             back = u(0, 3.0) if random.random() < 0.4 else 0.0
@@ -123,19 +126,28 @@ def _balcony(stage: Stage, x0: float, x1: float, side: float, edge: float, z: fl
 
 
 def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: float) -> None:
-    """Leave a gap with a fence or a hedge, trees and bushes behind it."""
+    """Leave a gap with a fence, a hedge or nothing; trees, bushes and grass are behind it."""
     random, u = stage.random, stage.random.uniform
     start, end = np.array([x0, side * edge, base]), np.array([x1, side * edge, base])
-    if random.random() < 0.5:
+    border = random.random()
+    if border < 0.4:
         f.hedge(stage, start, end, u(0.8, 1.9))
-    else:
+    elif border < 0.75:
         f.railing(stage, start, end, u(0.9, 1.8))
-    for _ in range(int(u(1, 5))):
-        at = (u(x0 + 1, x1 - 1), side * (edge + u(1.5, 9)), base, 0.0)
-        (f.tree if random.random() < 0.5 else f.bush)(stage, at)
-    stage.block(
-        [x0, side * (edge + 12), base], [x1, side * (edge + 12) + 0.3, base + u(2, 6)], Surface.WALL
-    )
+    wild = u(0, 1)
+    for _ in range(int(u(1, 5) + 8 * wild)):
+        at = (u(x0 + 1, x1 - 1), side * (edge + u(0.5, 9)), base, u(0, 3))
+        if random.random() < 0.35:
+            f.tree(stage, at)
+        else:
+            f.bush(stage, at, u(0.7, 2.2))
+    tufts = np.column_stack([u(x0, x1, 60), side * (edge + u(0, 9, 60)), np.full(60, base)])
+    for foot in tufts[: int(60 * wild)]:
+        blades = leaves(random, 25, [0.4, 0.4, 0.15], u(0.05, 0.15), 0.0)
+        stage.mesh(blades.placed(*foot), Surface.VEGETATION)
+    if random.random() < 0.7:
+        low, high = [x0, side * (edge + 12), base], [x1, side * (edge + 12) + 0.3, base + u(2, 6)]
+        stage.block(low, high, Surface.WALL)
 
 
 def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -> None:
