@@ -48,7 +48,7 @@ def write_timed_street(folder):
     return folder / "timed.npz", f"input.poses={folder / 'poses.txt'}"
 
 
-BY_EVIDENCE = ["removal.decision=auto", "removal.confidence=0.3"]
+BY_EVIDENCE = ["removal.decision=auto", "removal.confidence=0.8"]
 
 
 @pytest.fixture(scope="session")

@@ -200,13 +200,13 @@ def test_by_evidence_the_slider_is_the_confidence(opened, cleaned, name):
     report = json.loads((cleaned[name] / "run.json").read_text(encoding="utf-8"))
     page = opened(name)
     assert removed_count(page) == report["counts"]["dynamic"]
-    assert page.inner_text("#percentage-value") == "0.3"
+    assert page.inner_text("#percentage-value") == "0.8"
     before = ink(page, "top-before")[1]
-    page.fill("#percentage", "0.15")
+    page.fill("#percentage", "0.4")
     assert removed_count(page) == report["counts"]["dynamic"] + report["uncertain_points"]
     assert "would be removed" in page.inner_text(".answer")
     assert page.inner_text("#settings").endswith(
-        f"{name}' --confidence 0.15" if " " in name else f"{name} --confidence 0.15"
+        f"{name}' --confidence 0.4" if " " in name else f"{name} --confidence 0.4"
     )
     assert ink(page, "top-before")[1] > before
     page.fill("#percentage", "0.95")

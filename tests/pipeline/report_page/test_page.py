@@ -70,7 +70,7 @@ def test_the_page_by_evidence_does_not_depend_on_how_the_map_is_cut(cleaned):
     for name in ("places", "percentages", "labels", "clusters", "densities"):
         assert array(whole, name) == array(tiled, name)
     assert facts(whole) | {"apply": None} == facts(tiled) | {"apply": None}
-    assert facts(whole)["confidence"] == 0.3
+    assert facts(whole)["confidence"] == 0.8
     assert facts(whole)["removed_points"][70] == facts(whole)["removed"] > 0
 
 
