@@ -112,7 +112,7 @@ def training_maps(
 ) -> Iterator[TrainingMap]:
     """Simulate maps and measure them, or read those that lie in the folder already.
 
-    Where the scans are not to be known (`timed`), it takes half the time.
+    `timed` says whether scans are to be known.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(workers) as pool:

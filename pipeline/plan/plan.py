@@ -41,8 +41,8 @@ _COLUMN_BYTES, _LABEL_BYTES = 26, 18
 """A point of the map in what tasks keep of it once the pieces are gone, at most: columns; later,
 when these are gone too, densities and labels."""
 
-_FREE_BYTES, _SQUEEZED_FREE_BYTES = 33, 14
-"""Beside the columns: a ground-free point; one of a compressed map, whose coordinates compress."""
+_FREE_BYTES, _FREE_BYTES_OF_LAZ = 33, 20
+"""Beside the columns, a ground-free point, at most; coordinates of LAZ compress."""
 
 _SCORE_BYTES = 40
 """More, where scores are written."""
@@ -178,7 +178,7 @@ def make_plan(
         later, images = later + core * _SCAN_BYTES + viewpoints * IMAGE_BYTES, HELD_BYTES
     chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
     decoded = bytes_kept(collection)
-    free = _SQUEEZED_FREE_BYTES if decoded else _FREE_BYTES
+    free = _FREE_BYTES_OF_LAZ if decoded else _FREE_BYTES
     most = max(all_held * _PIECE_BYTES, core * (_COLUMN_BYTES + free), later)
     disk = chunks + most + decoded
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT

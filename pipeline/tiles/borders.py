@@ -272,8 +272,8 @@ class _Rest:
         low = np.min([vicinity.low for vicinity in vicinities], axis=0)
         high = np.max([vicinity.high for vicinity in vicinities], axis=0)
         for tile in self._others.near(low, high):
-            low, high = (corner[None] for corner in self._others.box(tile))
-            if any(vicinity.meets(low, high)[0] for vicinity in vicinities):
+            box = [corner[None] for corner in self._others.box(tile)]
+            if any(vicinity.meets(*box)[0] for vicinity in vicinities):
                 yield tile
 
     def wherever(self, queries: NDArray[np.intp], reach: NDArray[np.float64]) -> _Found:

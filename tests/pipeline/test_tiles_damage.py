@@ -233,6 +233,7 @@ def test_damage_under_a_running_run_is_not_blamed_on_the_map(
     for stage, name in [
         ("chunk", "cut/000000.arrays"),
         ("density", "ground/000001.arrays"),
+        ("density", "free/*.parquet"),
         ("density", "clusters.arrays"),
         ("label", "cuts.json"),
         ("label", "density/000001.arrays"),
@@ -241,9 +242,9 @@ def test_damage_under_a_running_run_is_not_blamed_on_the_map(
             task = stages.TASKS[stage]
 
             def damaging(job, number, task=task, damage=damage, name=name):
-                path = job.root / name
-                if path.exists() and path.stat().st_size:
-                    damage(path, 0.01)  # all that is there is needed
+                for path in job.root.glob(name):
+                    if path.stat().st_size:
+                        damage(path, 0.01)  # all that is there is needed
                 return task(job, number)
 
             with monkeypatch.context() as patch:
