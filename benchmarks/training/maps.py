@@ -1,7 +1,7 @@
 """Maps to learn from: simulated, cut to one size, and once more as sparser or noisier maps."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,11 +23,15 @@ from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
 from pipeline.simulation.meshes import random_parameters, simulate_meshes
+from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters, MeshSceneKind
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
 
-_LARGEST, _MOST = 350_000, 1_500_000
+_LARGEST, _MOST, _MOST_STANDING = 350_000, 1_500_000, 2_500_000
 """Points of a map: a window of it is cut out where there are more; narrow windows hold more."""
+
+STANDING = 100_000
+"""Seeds from here on are of a sensor on a tripod, which meets the same places all the time."""
 
 _NARROW = 4.0
 """Metres from the middle of a window to its sides: as far as surroundings are looked at."""
@@ -108,7 +112,7 @@ class _ChosenColumns:
 
 
 def training_maps(
-    seeds: range, folder: Path, workers: int, timed: bool = True
+    seeds: Sequence[int], folder: Path, workers: int, timed: bool = True
 ) -> Iterator[TrainingMap]:
     """Simulate maps and measure them, or read those that lie in the folder already.
 
@@ -126,7 +130,8 @@ def _make(folder: Path, timed: bool, seed: int) -> list[str]:
     if done.exists():
         return list(json.loads(done.read_text(encoding="utf-8")))
     random = np.random.default_rng(seed)
-    whole = _window(_simulated(seed, random), random)
+    most = _MOST if seed < STANDING else _MOST_STANDING
+    whole = _window(_simulated(seed, random), random, most)
     names = []
     for letter, variant in {"a": whole, "b": _variant(whole, random)}.items():
         name = f"{seed:05d}{letter}"
@@ -174,11 +179,37 @@ class _Scans:
 
 
 def _simulated(seed: int, random: np.random.Generator) -> _Made:
-    return _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
+    if seed >= STANDING:
+        return _meshes(seed, _on_a_tripod(seed))
+    if seed % _BOXES_EACH == _BOXES_EACH - 1:
+        return _boxes(seed, random)
+    return _meshes(seed, random_parameters(seed))
 
 
-def _meshes(seed: int) -> _Made:
-    parameters = random_parameters(seed)
+def _on_a_tripod(seed: int) -> MeshParameters:
+    """Draw a dense map of a sensor that does not move at all, and few who pass by."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(97,)))
+    u = random.uniform
+    scans = int(np.exp(u(np.log(100), np.log(400))))
+    fixed = ("drift_position", "drift_angle", "jitter_position", "jitter_angle", "loop_gap")
+    drawn = {
+        "mode": DriveMode.STAND,
+        "scans": scans,
+        "rays": int(np.clip(np.exp(u(np.log(2e6), np.log(8e6))) / scans, 2_500, 60_000)),
+        "people": 0 if random.random() < 0.2 else int(u(1, 7)),
+        "visiting": float(u(0, 1)),
+        "lingering": float(u(0, 1)),
+        "vehicles": int(random.choice([0, 0, 0, 1])),
+        "range_noise": float(np.exp(u(np.log(0.0005), np.log(0.01)))),
+        "angle_noise": float(u(0.0, 0.01)),
+        "keep": 1.0,
+    }
+    drawn |= dict.fromkeys((*fixed, "wobble", "voxel", "scan_voxel"), 0.0)
+    kind = MeshSceneKind.ROOM if random.random() < 0.4 else None
+    return random_parameters(seed, kind).model_copy(update=drawn)
+
+
+def _meshes(seed: int, parameters: MeshParameters) -> _Made:
     made = simulate_meshes(parameters)
     points = made.points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
@@ -220,7 +251,7 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
     return _Made(xyz, truth, scan, scans, f"boxes_{kind}", "boxes")
 
 
-def _window(made: _Made, random: np.random.Generator) -> _Made:
+def _window(made: _Made, random: np.random.Generator, most: int) -> _Made:
     """Return the points about one of them, in a square that holds as many as are wanted.
 
     The one has moved more often than not, as most windows would hold nothing that did. Where most
@@ -234,7 +265,7 @@ def _window(made: _Made, random: np.random.Generator) -> _Made:
         among = np.flatnonzero(truth == MOVED) if seek else np.zeros(0, np.intp)
         centre = xyz[random.choice(among) if len(among) else random.integers(len(xyz)), :2]
         away = np.abs(xyz[:, :2] - centre).max(axis=1)
-        most = min(_MOST, len(away) - 1)
+        most = min(most, len(away) - 1)
         ranked = np.partition(away, (_LARGEST, most))
         half = min(max(ranked[_LARGEST], _NARROW), ranked[most])
         inside = np.flatnonzero(away <= half)
