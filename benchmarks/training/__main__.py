@@ -1,7 +1,8 @@
 """Train the models of the evidence from simulated scenes alone, and say how well they do.
 
     python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--standing 50]
-                                  [--keep FOLDER] [--models posed_model.json]
+                                  [--driven 40] [--keep FOLDER]
+                                  [--models posed_model.json]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
@@ -30,7 +31,8 @@ from benchmarks.training.judging import (
     judge,
     reliability,
 )
-from benchmarks.training.maps import STANDING, TrainingMap, training_maps
+from benchmarks.training.maps import TrainingMap, training_maps
+from benchmarks.training.scenes import DRIVEN, STANDING
 from dynahull.evidence.model import MAP_FILE, MAP_ONLY, MODELS, AskedTerms
 from dynahull.parameters import RemovalParameters
 
@@ -41,6 +43,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the data files")
     parser.add_argument("--seeds", type=int, default=340)
     parser.add_argument("--standing", type=int, default=50, help="seeds of sensors on tripods")
+    parser.add_argument("--driven", type=int, default=40, help="seeds of seconds of driving")
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     models = list(MODELS)
@@ -48,7 +51,11 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="write the reliability plot there (extra: plot)")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}")
-    seeds = [*range(arguments.seeds), *range(STANDING, STANDING + arguments.standing)]
+    seeds = [
+        *range(arguments.seeds),
+        *range(STANDING, STANDING + arguments.standing),
+        *range(DRIVEN, DRIVEN + arguments.driven),
+    ]
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.keep or Path(temporary)
         begun = time.monotonic()

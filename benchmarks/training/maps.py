@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.training.scenes import DRIVEN, STANDING, parameters_of
 from dynahull.algorithm import find_clusters, set_ground_aside
 from dynahull.density import SPREAD_COLUMNS, cluster_densities
 from dynahull.evidence.lattice import Voxels
@@ -22,16 +23,12 @@ from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
-from pipeline.simulation.meshes import random_parameters, simulate_meshes
-from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters, MeshSceneKind
+from pipeline.simulation.meshes import simulate_meshes
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
 
 _LARGEST, _MOST, _MOST_STANDING = 350_000, 1_500_000, 2_500_000
 """Points of a map: a window of it is cut out where there are more; narrow windows hold more."""
-
-STANDING = 100_000
-"""Seeds from here on are of a sensor on a tripod, which meets the same places all the time."""
 
 _NARROW = 4.0
 """Metres from the middle of a window to its sides: as far as surroundings are looked at."""
@@ -130,7 +127,7 @@ def _make(folder: Path, timed: bool, seed: int) -> list[str]:
     if done.exists():
         return list(json.loads(done.read_text(encoding="utf-8")))
     random = np.random.default_rng(seed)
-    most = _MOST if seed < STANDING else _MOST_STANDING
+    most = _MOST_STANDING if STANDING <= seed < DRIVEN else _MOST
     whole = _window(_simulated(seed, random), random, most)
     names = []
     for letter, variant in {"a": whole, "b": _variant(whole, random)}.items():
@@ -179,37 +176,12 @@ class _Scans:
 
 
 def _simulated(seed: int, random: np.random.Generator) -> _Made:
-    if seed >= STANDING:
-        return _meshes(seed, _on_a_tripod(seed))
-    if seed % _BOXES_EACH == _BOXES_EACH - 1:
-        return _boxes(seed, random)
-    return _meshes(seed, random_parameters(seed))
+    boxes = seed < STANDING and seed % _BOXES_EACH == _BOXES_EACH - 1
+    return _boxes(seed, random) if boxes else _meshes(seed)
 
 
-def _on_a_tripod(seed: int) -> MeshParameters:
-    """Draw a dense map of a sensor that does not move at all, and few who pass by."""
-    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(97,)))
-    u = random.uniform
-    scans = int(np.exp(u(np.log(100), np.log(400))))
-    fixed = ("drift_position", "drift_angle", "jitter_position", "jitter_angle", "loop_gap")
-    drawn = {
-        "mode": DriveMode.STAND,
-        "scans": scans,
-        "rays": int(np.clip(np.exp(u(np.log(2e6), np.log(8e6))) / scans, 2_500, 60_000)),
-        "people": 0 if random.random() < 0.2 else int(u(1, 7)),
-        "visiting": float(u(0, 1)),
-        "lingering": float(u(0, 1)),
-        "vehicles": int(random.choice([0, 0, 0, 1])),
-        "range_noise": float(np.exp(u(np.log(0.0005), np.log(0.01)))),
-        "angle_noise": float(u(0.0, 0.01)),
-        "keep": 1.0,
-    }
-    drawn |= dict.fromkeys((*fixed, "wobble", "voxel", "scan_voxel"), 0.0)
-    kind = MeshSceneKind.ROOM if random.random() < 0.4 else None
-    return random_parameters(seed, kind).model_copy(update=drawn)
-
-
-def _meshes(seed: int, parameters: MeshParameters) -> _Made:
+def _meshes(seed: int) -> _Made:
+    parameters = parameters_of(seed)
     made = simulate_meshes(parameters)
     points = made.points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
