@@ -31,10 +31,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from sklearn.neighbors import KDTree
 
 from dynahull.kernels import hull_densities
-from dynahull.kernels.build import make_tree_workspace
-from dynahull.kernels.compilation import kernels
+from dynahull.kernels.compilation import grown_tree, kernels
 from dynahull.kernels.solve import Results, make_workspace
-from dynahull.kernels.tree import LEAF_SIZE, make_tree
+from dynahull.kernels.tree import LEAF_SIZE
 from tiling.formats import open_map
 
 Points = NDArray[np.float64]
@@ -163,9 +162,7 @@ class Kernel:
     def __init__(self, points: Points) -> None:
         self.compiled = kernels()
         rows = np.arange(len(points))
-        self.tree, copy_seconds = timed(lambda: make_tree(points))
-        grow_seconds = timed(lambda: self.compiled.build(self.tree, rows, make_tree_workspace()))[1]
-        self.build_seconds = copy_seconds + grow_seconds
+        self.tree, self.build_seconds = timed(lambda: grown_tree(points, rows))
         leaves = len(points) // LEAF_SIZE
         self.first = leaves // 3
         self.end = min(self.first + SAMPLE // LEAF_SIZE, leaves)
@@ -181,10 +178,7 @@ class Kernel:
 
     def solve(self, hulls: bool) -> None:
         """Find the neighbours of all points of the part, and perhaps measure the hulls."""
-        density = self.density if hulls else np.empty(0)
-        results = Results(
-            density, self.reach, np.empty((0, 0), np.int64), np.empty((0, 0), np.float32)
-        )
+        results = Results(self.reach, self.density) if hulls else Results(self.reach)
         self.compiled.solve(
             self.tree, K, self.first, self.end, self.wanted, self.workspace, results
         )

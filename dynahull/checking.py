@@ -1,4 +1,7 @@
-"""What is given to the method, checked: each fault ends in one line that says what to pass."""
+"""What is given to the method, checked: each fault ends in one line that says what to pass.
+
+What is anything else than a function returns, raises `InvalidPointsError`.
+"""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -33,11 +36,6 @@ def checked_points(points: ArrayLike) -> NDArray[np.float64]:
     """Return points, or those of an Open3D cloud, as a C-ordered (N, 3) float64 array.
 
     What is masked becomes NaN, and so an invalid point.
-
-    Raises
-    ------
-    InvalidPointsError
-        When they are anything else.
     """
     array = as_array(cloud_points(points), "points", "an (N, 3) array")
     if array.dtype.names is not None:
@@ -103,13 +101,7 @@ def _points_of_open3d(given: Any) -> Any:
 
 
 def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:
-    """Return ASPRS classes as an (N,) uint8 array.
-
-    Raises
-    ------
-    InvalidPointsError
-        When they are anything else.
-    """
+    """Return ASPRS classes as an (N,) uint8 array."""
     classes = np.asarray(as_array(classification, "classification", "one class for each point"))
     if classes.shape != (count,):
         raise InvalidPointsError(
@@ -124,13 +116,7 @@ def checked_classes(classification: ArrayLike, count: int) -> NDArray[np.uint8]:
 
 
 def checked_mask(given: ArrayLike, count: int, name: str = "left_out") -> NDArray[np.bool_]:
-    """Return true or false for each point as an (N,) bool array.
-
-    Raises
-    ------
-    InvalidPointsError
-        When it is anything else.
-    """
+    """Return true or false for each point as an (N,) bool array."""
     mask = np.asarray(as_array(given, name, "true or false for each point"))
     if mask.shape != (count,) or (count and mask.dtype != np.bool_):
         raise InvalidPointsError(
@@ -141,13 +127,7 @@ def checked_mask(given: ArrayLike, count: int, name: str = "left_out") -> NDArra
 
 
 def checked_scans(scan: ArrayLike, count: int) -> NDArray[np.int32]:
-    """Return scan numbers as an (N,) int32 array.
-
-    Raises
-    ------
-    InvalidPointsError
-        When they are anything else.
-    """
+    """Return scan numbers as an (N,) int32 array."""
     scans = np.asarray(as_array(scan, "scan", "one scan number for each point"))
     if scans.shape != (count,):
         raise InvalidPointsError(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from dynahull.parameters import ClusteringParameters
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.threads import over_items
 
 _ASSIGNMENT_BATCH = 16_384
 """Points; all that is computed for them stays in the processor's cache."""
@@ -39,11 +39,11 @@ class Clusters:
         points : (n, 3) float64 array
         """
         nearest = np.zeros(len(points), np.int32)
-        over_ranges(
-            lambda first, end: _assign(points[first:end], self.centroids, nearest[first:end]),
-            range_bounds(len(points), threads, _SMALLEST_RANGE),
-            threads,
-        )
+
+        def assign(first: int, end: int) -> None:
+            _assign(points[first:end], self.centroids, nearest[first:end])
+
+        over_items(assign, len(points), threads, _SMALLEST_RANGE)
         return nearest
 
 

@@ -98,10 +98,8 @@ class RemovalParameters(BaseModel, extra="forbid", frozen=True):
         description="`paper`: the least dense points of each cluster, as many as Eq. 1 says. "
         "`auto`: what the evidence says moved, and nothing where nothing did.",
     )
-    confidence: float = Field(
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.5,
-        gt=0,
-        lt=1,
         description="Of `auto`: points go whose probability of having moved is at least this. "
         "Higher is more careful.",
     )

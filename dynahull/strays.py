@@ -27,7 +27,7 @@ SHARE = 100
 """Strays on one side are fewer than one in so many points, and fewer than k."""
 
 _SIDES = 6
-_FIRST_BATCH, _BATCH = 4_096, 32_768
+_BATCH = 65_536
 """Points looked at at a time."""
 
 
@@ -76,12 +76,9 @@ class Outskirts:
         chosen: NDArray[np.bool_] | None = None,
     ) -> None:
         """Take points of consecutive rows, (n, 3), into account: the chosen, all finite, or all."""
-        start = 0
-        while start < len(points):
-            # Of the first points, all are the outermost so far.
-            end = start + (_BATCH if self._rows.shape[1] == self._most else _FIRST_BATCH)
-            batch = points[start:end]
-            rows = np.arange(first_row + start, first_row + start + len(batch))
+        for start in range(0, len(points), _BATCH):
+            end = min(start + _BATCH, len(points))
+            batch, rows = points[start:end], np.arange(first_row + start, first_row + end)
             if chosen is not None and not chosen[start:end].all():
                 batch, rows = batch[chosen[start:end]], rows[chosen[start:end]]
             zero = is_at_origin(batch)
@@ -90,7 +87,6 @@ class Outskirts:
                 batch, rows = batch[~zero], rows[~zero]
             self._count += len(batch)
             self._note(batch, rows)
-            start = end
 
     def merge(self, other: "Outskirts") -> None:
         """Take the points of another part of the map into account."""
@@ -150,37 +146,30 @@ class Outskirts:
 
     def _note(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
         """Take over what is farther out on a side than what is held."""
-        columns = np.ascontiguousarray(points.T)
-        full = self._rows.shape[1] == self._most
-        last = _outwardness(self._points)[:, -1] if full else np.full(_SIDES, np.inf)
-        chosen = []
-        for side in range(_SIDES):
-            outwardness = columns[side] if side < 3 else -columns[side - 3]
-            more = np.flatnonzero(outwardness < last[side])
-            if len(more) > self._most:
-                more = more[np.argpartition(outwardness.take(more), self._most - 1)[: self._most]]
-            chosen.append(more)
-        if any(len(more) for more in chosen):
-            self._keep(
-                [
-                    np.concatenate([held, points.take(more, axis=0)])
-                    for held, more in zip(self._points, chosen, strict=True)
-                ],
-                [
-                    np.concatenate([held, rows.take(more)])
-                    for held, more in zip(self._rows, chosen, strict=True)
-                ],
-            )
+        outer = [self._outermost(_along(side, points)) for side in range(_SIDES)]
+        self._keep(
+            [
+                np.concatenate([held, points[more]])
+                for held, more in zip(self._points, outer, strict=True)
+            ],
+            [
+                np.concatenate([held, rows[more]])
+                for held, more in zip(self._rows, outer, strict=True)
+            ],
+        )
+
+    def _outermost(self, outwardness: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Return which points are the farthest out, as many as are held, in no order."""
+        if len(outwardness) <= self._most:
+            return np.arange(len(outwardness))
+        return np.argpartition(outwardness, self._most - 1)[: self._most]
 
     def _keep(self, points: list[NDArray[np.float64]], rows: list[NDArray[np.int64]]) -> None:
         """Hold the outermost of some points of each side."""
         kept_points, kept_rows = [], []
         for side in range(_SIDES):
             outwardness = _along(side, points[side])
-            if len(outwardness) > self._most:
-                outer = np.argpartition(outwardness, self._most - 1)[: self._most]
-            else:
-                outer = np.arange(len(outwardness))
+            outer = self._outermost(outwardness)
             order = outer[np.lexsort((rows[side].take(outer), outwardness.take(outer)))]
             kept_points.append(points[side].take(order, axis=0))
             kept_rows.append(rows[side].take(order))

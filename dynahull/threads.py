@@ -1,4 +1,7 @@
-"""Work on ranges of an array, by several threads; compiled and NumPy code holds no lock."""
+"""Work on ranges of an array, by several threads; compiled and NumPy code holds no lock.
+
+Whatever takes `threads` gives the same result for any number of them.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -44,3 +47,10 @@ def over_ranges(
         return [work(first, end) for first, end in ranges]
     with ThreadPoolExecutor(min(threads, len(ranges))) as executor:
         return list(executor.map(lambda piece: work(*piece), ranges))
+
+
+def over_items(
+    work: Callable[[int, int], _Result], count: int, threads: int, smallest: int
+) -> list[_Result]:
+    """Call `work(first, end)` for ranges of `count` items: see `range_bounds`, `over_ranges`."""
+    return over_ranges(work, range_bounds(count, threads, smallest), threads)

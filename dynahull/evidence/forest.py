@@ -7,14 +7,16 @@ all points of the block go left, so they do at those that follow.
 """
 
 from dataclasses import dataclass
-from typing import Any, Self
+from functools import partial
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled, inlined
 from dynahull.errors import InvalidParametersError
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.kernels.vectors import lowest_place
+from dynahull.threads import over_items
 
 MOST_LEAVES = 32
 """Of a tree: a bit each."""
@@ -25,23 +27,12 @@ _SMALLEST_RANGE = 20_000
 _BLOCK = 64
 """Points at a time: their leaves stay in the cache."""
 
-_SEQUENCE = np.uint32(0x077CB531)
-"""Of de Bruijn: each of its 32 windows of five bits is another number."""
 
-_PLACES = np.zeros(32, np.int32)
-_PLACES[[(int(_SEQUENCE) << place) % 2**32 >> 27 for place in range(32)]] = np.arange(32)
-
-
-@dataclass(frozen=True, slots=True)
-class Forest:
-    """Trees whose leaves add up to the logarithm of the odds that a point moved.
+class Questions(NamedTuple):
+    """What all trees ask, by term.
 
     Attributes
     ----------
-    terms : tuple of str
-        What is known of a point, in the order of the columns that the trees ask for.
-    baseline : float
-        What is added to the sum of the leaves.
     begins : (terms + 1,) int32 array
         Where the questions about each term begin.
     limit : (questions,) float32 array
@@ -54,6 +45,27 @@ class Forest:
         Whether a term that is NaN goes left.
     first_leaf : (trees + 1,) int32 array
         Where the leaves of each tree begin, from left to right.
+    """
+
+    begins: npt.NDArray[np.int32]
+    limit: npt.NDArray[np.float32]
+    tree: npt.NDArray[np.int32]
+    kept: npt.NDArray[np.uint32]
+    missing_left: npt.NDArray[np.bool_]
+    first_leaf: npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Forest:
+    """Trees whose leaves add up to the logarithm of the odds that a point moved.
+
+    Attributes
+    ----------
+    terms : tuple of str
+        What is known of a point, in the order of the columns that the trees ask for.
+    baseline : float
+        What is added to the sum of the leaves.
+    questions : Questions
     value : (leaves,) float64 array
         What a leaf adds.
     changes : (leaves, terms) float64 array
@@ -62,12 +74,7 @@ class Forest:
 
     terms: tuple[str, ...]
     baseline: float
-    begins: npt.NDArray[np.int32]
-    limit: npt.NDArray[np.float32]
-    tree: npt.NDArray[np.int32]
-    kept: npt.NDArray[np.uint32]
-    missing_left: npt.NDArray[np.bool_]
-    first_leaf: npt.NDArray[np.int32]
+    questions: Questions
     value: npt.NDArray[np.float64]
     changes: npt.NDArray[np.float64]
 
@@ -87,25 +94,23 @@ class Forest:
             names = tuple(stored["terms"])
             trees = [_Tree(nodes, names) for nodes in stored["trees"]]
             asked = np.array(
-                [
-                    (question.term, question.limit, number, question.missing_left)
-                    for number, tree in enumerate(trees)
-                    for question in tree.questions
-                ],
-                dtype=[("term", "i4"), ("limit", "f8"), ("tree", "i4"), ("missing_left", "?")],
-            )
-            kept = np.array([each.kept for tree in trees for each in tree.questions], np.uint32)
-            order = np.argsort(asked, order=("term", "limit", "tree"), kind="stable")
-            asked, kept = asked[order], kept[order]
-            return cls(
-                names,
-                float(stored["baseline"]),
+                [(number, *each) for number, tree in enumerate(trees) for each in tree.questions],
+                dtype=[("tree", "i4"), ("term", "i4"), ("limit", "f8"), ("kept", "u4"),
+                       ("missing_left", "?")],
+            )  # fmt: skip
+            asked = np.sort(asked, order=("term", "limit", "tree"), kind="stable")
+            questions = Questions(
                 np.searchsorted(asked["term"], np.arange(len(names) + 1)).astype(np.int32),
                 _no_larger(asked["limit"]),
                 np.ascontiguousarray(asked["tree"]),
-                kept,
+                np.ascontiguousarray(asked["kept"]),
                 np.ascontiguousarray(asked["missing_left"]),
                 np.cumsum([0, *(len(tree.values) for tree in trees)]).astype(np.int32),
+            )
+            return cls(
+                names,
+                float(stored["baseline"]),
+                questions,
                 np.array([value for tree in trees for value in tree.values], np.float64),
                 np.array([each for tree in trees for each in tree.changes], np.float64),
             )
@@ -120,18 +125,10 @@ class Forest:
         Parameters
         ----------
         evidence : (n, len(terms)) float32 array
-        threads : int
-            They change nothing about the result.
         """
         found = np.empty(len(evidence), np.float32)
-        over_ranges(
-            lambda first, end: _add_up(
-                evidence, self.begins, self.limit, self.tree, self.kept, self.missing_left,
-                self.first_leaf, self.value, self.baseline, first, end, found,
-            ),
-            range_bounds(len(evidence), threads, _SMALLEST_RANGE),
-            threads,
-        )  # fmt: skip
+        add_up = partial(_add_up, evidence, self.questions, self.value, self.baseline, found)
+        over_items(add_up, len(evidence), threads, _SMALLEST_RANGE)
         return found
 
     def contributions(
@@ -145,27 +142,19 @@ class Forest:
         groups : (len(terms),) int32 array
             The group of each term, below `count`.
         """
+        by_group = np.zeros((len(self.changes), count))
+        for term, group in enumerate(groups):
+            by_group[:, group] += self.changes[:, term]
         found = np.zeros((len(evidence), count), np.float32)
-        _add_changes(
-            evidence, self.begins, self.limit, self.tree, self.kept, self.missing_left,
-            self.first_leaf, _by_group(self.changes, groups, count), found,
-        )  # fmt: skip
+        _add_changes(evidence, self.questions, by_group, found)
         return found
-
-
-@dataclass(frozen=True, slots=True)
-class _Question:
-    term: int
-    limit: float
-    kept: int
-    missing_left: bool
 
 
 class _Tree:
     """The questions and leaves of a tree, from its nodes in depth-first order."""
 
     def __init__(self, nodes: list[list[Any]], names: tuple[str, ...]) -> None:
-        self.questions: list[_Question] = []
+        self.questions: list[tuple[int, float, int, bool]] = []  # term, limit, kept, missing left
         self.values: list[float] = []
         self.changes: list[list[float]] = []
         if self._walk(nodes, 0, names, [0.0] * len(names)) != len(nodes):
@@ -196,7 +185,7 @@ class _Tree:
         # What goes right reaches no leaf of the left branch: those that it has, from `begin` on.
         struck_out = (1 << len(self.values)) - (1 << begin)
         kept = (2**MOST_LEAVES - 1) & ~struck_out
-        self.questions.append(_Question(term, float(limit), kept, missing == "left"))
+        self.questions.append((term, float(limit), kept, missing == "left"))
         return self._walk(nodes, right, names, further(nodes[right]))
 
 
@@ -210,15 +199,12 @@ def _no_larger(limits: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
 @inlined
 def _strike_out(
     evidence: npt.NDArray[np.float32],
-    begins: npt.NDArray[np.int32],
-    limit: npt.NDArray[np.float32],
-    tree: npt.NDArray[np.int32],
-    kept: npt.NDArray[np.uint32],
-    missing_left: npt.NDArray[np.bool_],
+    questions: Questions,
     known: npt.NDArray[np.float32],
     left: npt.NDArray[np.uint32],
 ) -> None:
     """Leave those leaves of each tree that each point may reach; the first of them it does."""
+    begins, limit, tree, kept, missing_left, _ = questions
     count = len(evidence)
     all_leaves = np.uint32(2**MOST_LEAVES - 1)
     left[:] = all_leaves
@@ -243,37 +229,31 @@ def _strike_out(
 
 
 @inlined
-def _first(leaves: np.uint32) -> int:
-    """Return the place of the lowest bit that is set."""
-    lowest = np.uint32(leaves & (~leaves + np.uint32(1)))
-    return int(_PLACES[np.uint32(lowest * _SEQUENCE) >> np.uint32(27)])
+def _leaf(questions: Questions, left: npt.NDArray[np.uint32], tree: int, point: int) -> int:
+    """Return the leaf of a tree that a point ends at: the first that is left."""
+    return int(questions.first_leaf[tree]) + int(lowest_place(np.uint64(left[tree, point])))
 
 
 @compiled
 def _add_up(
     evidence: npt.NDArray[np.float32],
-    begins: npt.NDArray[np.int32],
-    limit: npt.NDArray[np.float32],
-    tree: npt.NDArray[np.int32],
-    kept: npt.NDArray[np.uint32],
-    missing_left: npt.NDArray[np.bool_],
-    first_leaf: npt.NDArray[np.int32],
+    questions: Questions,
     value: npt.NDArray[np.float64],
     baseline: float,
+    found: npt.NDArray[np.float32],
     first: int,
     end: int,
-    found: npt.NDArray[np.float32],
 ) -> None:
-    left = np.empty((len(first_leaf) - 1, _BLOCK), np.uint32)
+    left = np.empty((len(questions.first_leaf) - 1, _BLOCK), np.uint32)
     known = np.empty(_BLOCK, np.float32)
     total = np.empty(_BLOCK)
     for begin in range(first, end, _BLOCK):
         block = evidence[begin : min(begin + _BLOCK, end)]
-        _strike_out(block, begins, limit, tree, kept, missing_left, known, left)
+        _strike_out(block, questions, known, left)
         total[:] = baseline
-        for number in range(len(left)):
+        for tree in range(len(left)):
             for point in range(len(block)):
-                total[point] += value[first_leaf[number] + _first(left[number, point])]
+                total[point] += value[_leaf(questions, left, tree, point)]
         for point in range(len(block)):
             found[begin + point] = total[point]
 
@@ -281,34 +261,17 @@ def _add_up(
 @compiled
 def _add_changes(
     evidence: npt.NDArray[np.float32],
-    begins: npt.NDArray[np.int32],
-    limit: npt.NDArray[np.float32],
-    tree: npt.NDArray[np.int32],
-    kept: npt.NDArray[np.uint32],
-    missing_left: npt.NDArray[np.bool_],
-    first_leaf: npt.NDArray[np.int32],
+    questions: Questions,
     changes: npt.NDArray[np.float64],
     found: npt.NDArray[np.float32],
 ) -> None:
-    left = np.empty((len(first_leaf) - 1, _BLOCK), np.uint32)
+    left = np.empty((len(questions.first_leaf) - 1, _BLOCK), np.uint32)
     known = np.empty(_BLOCK, np.float32)
     for begin in range(0, len(evidence), _BLOCK):
         block = evidence[begin : begin + _BLOCK]
-        _strike_out(block, begins, limit, tree, kept, missing_left, known, left)
-        for number in range(len(left)):
+        _strike_out(block, questions, known, left)
+        for tree in range(len(left)):
             for point in range(len(block)):
-                leaf = first_leaf[number] + _first(left[number, point])
+                leaf = _leaf(questions, left, tree, point)
                 for group in range(found.shape[1]):
                     found[begin + point, group] += changes[leaf, group]
-
-
-@compiled
-def _by_group(
-    changes: npt.NDArray[np.float64], groups: npt.NDArray[np.int32], count: int
-) -> npt.NDArray[np.float64]:
-    """Add up the changes of each group's terms, (leaves, count)."""
-    found = np.zeros((len(changes), count))
-    for leaf in range(len(changes)):
-        for term in range(len(groups)):
-            found[leaf, groups[term]] += changes[leaf, term]
-    return found

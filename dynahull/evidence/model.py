@@ -90,42 +90,17 @@ FIRST_ODDS = "first"
 """The term of the second round that is the outcome of the first."""
 
 KEPT_TERMS = (
-    "thickness",
-    "scale",
-    "height",
-    "aloft",
-    "over",
-    "under",
-    "ground_seen",
-    "ground_near",
-    "density_2.4",
-    "thickness_2.4",
-    "density_4.8",
-    "returns_0.3",
-    "returns_2.4",
-    "thickness_least",
-    "box_thin_0.3",
-    "box_thin_0.6",
-    "box_thin_1.2",
-    "box_flat_0.6",
-    "box_flat_1.2",
-)
+    "thickness", "scale", "height", "aloft", "over", "under", "ground_seen", "ground_near",
+    "density_2.4", "thickness_2.4", "density_4.8", "returns_0.3", "returns_2.4", "thickness_least",
+    "box_thin_0.3", "box_thin_0.6", "box_thin_1.2", "box_flat_0.6", "box_flat_1.2",
+)  # fmt: skip
 """Terms of the first round that the second looks at again."""
 
 TIMED_KEPT_TERMS = (
     *KEPT_TERMS,
-    "scans_1_0.3",
-    "scans_8_0.3",
-    "scans_1_1.2",
-    "scans_8_1.2",
-    "scans_1_4.8",
-    "scans_8_4.8",
-    "clearly_0.1",
-    "met_0.1",
-    "clear_share_0.3",
-    "through_share_0.3",
-    "clear_share_1.2",
-)
+    "scans_1_0.3", "scans_8_0.3", "scans_1_1.2", "scans_8_1.2", "scans_1_4.8", "scans_8_4.8",
+    "clearly_0.1", "met_0.1", "clear_share_0.3", "through_share_0.3", "clear_share_1.2",
+)  # fmt: skip
 """The same, of a map whose scans are known."""
 
 
@@ -237,8 +212,6 @@ class EvidenceModel:
             Neighbours of each.
         surroundings : Surroundings
             Of all points within `summaries.REACH`.
-        threads : int
-            They change nothing about the result.
         """
         kept = self.asked.kept
         found = FirstRound.nothing(len(points), len(kept))
@@ -265,8 +238,6 @@ class EvidenceModel:
             Of the same points.
         odds : Voxels
             Of all points within `summaries.REACH`: see `summaries.summarise_odds`.
-        threads : int
-            They change nothing about the result.
         """
         pooled = pooled_terms(xyz, odds)
 
@@ -317,8 +288,6 @@ def judge_points(
         Ground, and what lies too high to be scored.
     k : int
         Neighbours of each point.
-    threads : int
-        They change nothing about the result.
     unscored_scan : (m,) int32 array, optional
         Their scans, if those of the points are known.
     viewpoints : Viewpoints, optional

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dynahull.compilation import compiled, helper
 from dynahull.evidence.lattice import Cells, Floats, Integers
 from dynahull.evidence.visits import Scans
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.threads import over_items
 
 FACE = 90
 """Pixels along each side of the six faces of a cube about the sensor: some degree each."""
@@ -111,11 +111,10 @@ class Views:
         """
         counts = np.zeros((len(cells), VIEWS), np.int64)
         middles = (cells.astype(np.float64) + 0.5) * side
-        bounds = range_bounds(len(cells), threads, _LEAST_A_THREAD)
         for rows in self._near(middles):
             sensor, images = self.sensor[rows], self.images_of(rows)
             look = partial(_look_at, middles, sensor, images, _nearest_around(images), counts)
-            over_ranges(look, bounds, threads)
+            over_items(look, len(cells), threads, _LEAST_A_THREAD)
         return counts
 
     def _near(self, middles: Floats) -> Iterator[_Rows]:

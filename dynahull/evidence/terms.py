@@ -95,15 +95,8 @@ def _ground_about(i: int, j: int, k: int, lookup: _Lookup) -> int:
 
 
 NEIGHBOURHOOD_TERMS = (
-    "fill",
-    "thickness",
-    "flatness",
-    "linearity",
-    "upright",
-    "offset",
-    "scale",
-    "thick",
-)
+    "fill", "thickness", "flatness", "linearity", "upright", "offset", "scale", "thick",
+)  # fmt: skip
 """Volume of the hull against the cube of the length; thickness against length, and against width;
 width against length; |z| of the normal; distance to the mean of the neighbours against length;
 length and thickness in metres. Lengths and ratios are logarithms to base 2."""

@@ -1,9 +1,11 @@
-"""Which levels may be floors: those that go on around them, and those that are no ceilings."""
+"""Which levels are ground: they go on around them, and are no ceilings and no tops of objects."""
+
+from functools import partial
 
 import numpy as np
 
 from dynahull.compilation import compiled, helper
-from dynahull.ground.columns import Columns, first_from
+from dynahull.ground.columns import Columns, Levels, first_from
 from dynahull.ground.lattice import (
     Booleans,
     Floats,
@@ -14,13 +16,12 @@ from dynahull.ground.lattice import (
     slot_at,
     starts_of,
 )
-from dynahull.ground.levels import Levels
 from dynahull.ground.parameters import SlopeParameters
 from dynahull.ground.reach import FLAT_RADIUS
 from dynahull.summary import Summary
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.threads import over_items, over_ranges
 
-_SMALLEST_RANGE = 500
+_SMALLEST_RANGE = 2_000
 """Levels."""
 
 _STRIDE = 2
@@ -46,54 +47,37 @@ def are_flat(levels: Levels, lattice: Lattice, p: SlopeParameters, threads: int 
     half the spread will do, so that the separate rings of a distant scan count.
     """
     offsets = disk_offsets(FLAT_RADIUS)[1:]
-    flat = np.empty(len(levels.heights), np.bool_)
     starts = starts_of(levels.slots, lattice.slot_count)
     reaches = p.step + p.expert.continuity * distances_of(offsets, p.expert.cell)
-    breadth = 0.0 if p.clearance is None else p.expert.breadth
-    over_ranges(
-        lambda first, end: _are_flat(
-            levels.heights,
-            levels.slots,
-            levels.bare,
-            starts,
-            lattice.neighbours,
-            offsets,
-            reaches,
-            p.expert.flatness,
-            breadth,
-            first,
-            end,
-            flat,
-        ),
-        range_bounds(len(flat), threads, _SMALLEST_RANGE),
-        threads,
-    )
+    share, breadth = p.expert.flatness, 0.0 if p.clearance is None else p.expert.breadth
+    flat = np.empty(len(levels.heights), np.bool_)
+    about = (starts, lattice.neighbours, offsets, reaches)
+    look = partial(_are_flat, levels, *about, share, breadth, flat)
+    over_items(look, len(flat), threads, _SMALLEST_RANGE)
     return flat
 
 
 @compiled
 def _are_flat(
-    heights: Floats,
-    slots: Integers,
-    bare: Booleans,
+    levels: Levels,
     starts: Integers,
     neighbours: Integers,
     offsets: Integers,
     reaches: Floats,
     share: float,
     breadth: float,
+    flat: Booleans,
     first_level: int,
     end_level: int,
-    flat: Booleans,
 ) -> None:
-    occupied = 0
+    heights, occupied = levels.heights, 0
     around = np.empty(len(offsets), np.int64)
     cells = np.empty(len(offsets), np.int64)
     last = -1
     for level in range(first_level, end_level):
-        if slots[level] != last:
+        if levels.slots[level] != last:
             # the levels of a column have the same cells about them
-            last = slots[level]
+            last = levels.slots[level]
             occupied = 0
             for k in range(len(offsets)):
                 slot = slot_at(last, offsets[k, 0], offsets[k, 1], neighbours)
@@ -116,7 +100,7 @@ def _are_flat(
                     uv += i * j
                     vv += j * j
                     break
-        wanted = breadth / 2 if bare[level] else breadth
+        wanted = breadth / 2 if levels.bare[level] else breadth
         flat[level] = continued >= share * occupied and (
             wanted == 0 or _breadth(continued + 1.0, u, v, uu, uv, vv) >= wanted
         )
@@ -141,24 +125,16 @@ def outlines(columns: Columns, clearance: float, threads: int = 1) -> Summary:
     """
     gap = min(2 * _MARGIN, clearance / 2) / 2
     kept = np.zeros(len(columns.heights), np.bool_)
-    over_ranges(
-        lambda first, end: _mark_outline(columns.heights, columns.starts, gap, first, end, kept),
-        columns.bounds(threads),
-        threads,
-    )
+    over_ranges(partial(_mark_outline, columns, gap, kept), columns.bounds(threads), threads)
     numbers = np.searchsorted(columns.starts, np.flatnonzero(kept), side="right") - 1
     return Summary(columns.cells[numbers], columns.heights[kept][:, None])
 
 
 @compiled
 def _mark_outline(
-    heights: Floats,
-    starts: Integers,
-    gap: float,
-    first_column: int,
-    end_column: int,
-    kept: Booleans,
+    columns: Columns, gap: float, kept: Booleans, first_column: int, end_column: int
 ) -> None:
+    heights, starts = columns.heights, columns.starts
     for column in range(first_column, end_column):
         place, last = starts[column], starts[column + 1] - 1
         kept[place] = True
@@ -198,47 +174,32 @@ def are_floors(
     offsets = disk_offsets(p.expert.storey_radius / p.expert.cell / _STRIDE) * _STRIDE
     reaches = _MARGIN + p.slope * distances_of(offsets, p.expert.cell)
     floors = np.zeros(len(levels.heights), np.bool_)
-    over_ranges(
-        lambda first, end: _are_floors(
-            levels.heights,
-            levels.slots,
-            heights,
-            starts,
-            lattice.neighbours,
-            offsets,
-            reaches,
-            clearance,
-            first,
-            end,
-            floors,
-        ),
-        range_bounds(len(floors), threads, _SMALLEST_RANGE),
-        threads,
-    )
+    about = (heights, starts, lattice.neighbours, offsets, reaches)
+    look = partial(_are_floors, levels, *about, clearance, floors)
+    over_items(look, len(floors), threads, _SMALLEST_RANGE)
     return floors
 
 
 @compiled
 def _are_floors(
-    heights: Floats,
-    slots: Integers,
+    levels: Levels,
     columns: Floats,
     starts: Integers,
     neighbours: Integers,
     offsets: Integers,
     reaches: Floats,
     clearance: float,
+    floors: Booleans,
     first_level: int,
     end_level: int,
-    floors: Booleans,
 ) -> None:
     for level in range(first_level, end_level):
-        z = heights[level]
-        if _rests_on_something(slots[level], z, columns, starts, neighbours, clearance):
+        own, z = levels.slots[level], levels.heights[level]
+        if _rests_on_something(own, z, columns, starts, neighbours, clearance):
             continue
         occupied, surface, under, beneath, above = 0, 0, 0, 0, 0
         for k in range(len(offsets)):
-            slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
+            slot = slot_at(own, offsets[k, 0], offsets[k, 1], neighbours)
             if starts[slot] == starts[slot + 1]:
                 continue
             first, end = starts[slot], starts[slot + 1]
@@ -287,3 +248,94 @@ def _rests_on_something(
             if _is_filled(columns, starts[other], starts[other + 1], z, clearance):
                 filled += 1
     return 3 * filled >= 2 * occupied
+
+
+def stand_out(
+    levels: Levels, lattice: Lattice, p: SlopeParameters, storey: float, threads: int = 1
+) -> Booleans:
+    """Tell which levels belong to objects that stand on the ground.
+
+    After Pingel, Clarke and McBride (2013), section 2.2: the surface is opened by disks whose
+    radius r grows by a cell up to `window`; a level that one growth of the disk lowers by more than
+    `step + slope * r` belongs to an object. A hill is lowered little by little and stays,
+    a table or a house is lowered at once.
+
+    Their surface has one height a cell; ours may have several. Two levels see each other if
+    their heights are at most `storey` metres apart, and of a column only the lowest of those is
+    seen. Looking up, half of that is the limit: beyond it begins the next storey. Cells
+    without a level are passed over, not filled.
+    """
+    offsets = disk_offsets(p.window / p.expert.cell)
+    radii = p.expert.cell * np.arange(1, int(p.window / p.expert.cell) + 1)
+    disks = np.searchsorted(distances_of(offsets, p.expert.cell), radii, side="right")
+    heights, slots = levels.heights, levels.slots
+    starts = starts_of(slots, lattice.slot_count)
+    eroded, opened = heights.copy(), heights.copy()
+    objects = np.zeros(len(heights), np.bool_)
+    surroundings = (heights, slots, starts, lattice.neighbours)
+    smaller = 1
+    for disk, limit in zip(disks, p.step + p.slope * radii, strict=True):
+        ring, window = offsets[smaller:disk], offsets[1:disk]
+        erode = partial(_erode, *surroundings, ring, storey, eroded)
+        open_ = partial(_open, *surroundings, window, storey, limit, eroded, opened, objects)
+        for step in (erode, open_):
+            over_items(step, len(heights), threads, _SMALLEST_RANGE)
+        smaller = disk
+    return objects
+
+
+@compiled
+def _erode(
+    heights: Floats,
+    slots: Integers,
+    starts: Integers,
+    neighbours: Integers,
+    ring: Integers,
+    storey: float,
+    eroded: Floats,
+    first_level: int,
+    end_level: int,
+) -> None:
+    """Widen the erosion by a ring: that by a disk is that by the smaller one, and the ring's."""
+    for level in range(first_level, end_level):
+        lowest = eroded[level]
+        for k in range(len(ring)):
+            slot = slot_at(slots[level], ring[k, 0], ring[k, 1], neighbours)
+            for other in range(starts[slot], starts[slot + 1]):
+                if abs(heights[other] - heights[level]) <= storey:
+                    lowest = min(lowest, heights[other])
+                    break
+        eroded[level] = lowest
+
+
+@compiled
+def _open(
+    heights: Floats,
+    slots: Integers,
+    starts: Integers,
+    neighbours: Integers,
+    window: Integers,
+    storey: float,
+    limit: float,
+    eroded: Floats,
+    opened: Floats,
+    objects: Booleans,
+    first_level: int,
+    end_level: int,
+) -> None:
+    """Lower the opened surface to the dilation of the eroded one, and say what that lowers."""
+    for level in range(first_level, end_level):
+        if objects[level]:
+            continue
+        highest = eroded[level]
+        for k in range(len(window)):
+            if highest >= opened[level]:
+                break
+            slot = slot_at(slots[level], window[k, 0], window[k, 1], neighbours)
+            for other in range(starts[slot], starts[slot + 1]):
+                if -storey <= heights[other] - heights[level] <= storey / 2:
+                    highest = max(highest, eroded[other])
+                    break
+        lowered = min(highest, opened[level])
+        objects[level] = opened[level] - lowered > limit
+        opened[level] = lowered

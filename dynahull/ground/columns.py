@@ -1,18 +1,22 @@
-"""The points of a map column by column, each from its lowest point up."""
+"""The points of a map column by column, each from its lowest point up, and their levels.
 
+Levels are layers of points with free height above them.
+"""
+
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from dynahull.compilation import compiled, helper
-from dynahull.ground.lattice import Booleans, Floats, Integers, number_columns, starts_of
+from dynahull.ground.lattice import Booleans, Floats, Integers, Lattice, number_columns, starts_of
+from dynahull.summary import Summary
 from dynahull.threads import group_bounds, over_ranges
 
 _SMALLEST_RANGE = 20_000
 """Points."""
 
-_RUN = 16
-"""Points that are sorted by insertion."""
+_FEWEST_FOR_SPREAD = 3
 
 
 class Columns(NamedTuple):
@@ -47,105 +51,16 @@ class Columns(NamedTuple):
 
 def sort_columns(points: Floats, cell: float, threads: int = 1) -> Columns:
     """Sort points, (N, 3), by their cell and their height, all in metres."""
-    numbers, cells = number_columns(points, cell, threads)
+    numbers, cells = number_columns(points, cell)
     starts = starts_of(numbers, len(cells))
-    columns = Columns(np.empty(len(points)), np.empty(len(points), np.int64), starts, cells)
-    over_ranges(
-        lambda first, end: _sort_columns(points, numbers, *columns[:3], first, end),
-        columns.bounds(threads),
-        threads,
-    )
-    return columns
 
+    def sort(first_column: int, end_column: int) -> Integers:
+        rows = np.flatnonzero((numbers >= first_column) & (numbers < end_column))
+        return rows[np.lexsort((points[rows, 2], numbers[rows]))]
 
-@compiled
-def _sort_columns(
-    points: Floats,
-    numbers: Integers,
-    heights: Floats,
-    rows: Integers,
-    starts: Integers,
-    first_column: int,
-    end_column: int,
-) -> None:
-    """Fill a range of columns: every thread reads all numbers and writes its own columns."""
-    place = starts[first_column:end_column].copy()
-    for point in range(len(numbers)):
-        column = numbers[point]
-        if first_column <= column < end_column:
-            heights[place[column - first_column]] = points[point, 2]
-            rows[place[column - first_column]] = point
-            place[column - first_column] += 1
-    longest = 0
-    for column in range(first_column, end_column):
-        longest = max(longest, starts[column + 1] - starts[column])
-    spare_heights = np.empty(longest, np.float64)
-    spare_rows = np.empty(longest, np.int64)
-    for column in range(first_column, end_column):
-        first, end = starts[column], starts[column + 1]
-        _sort_column(heights, rows, first, end, spare_heights, spare_rows)
-
-
-# NumPy's sorts are slow to compile, and one that moves the rows along needs another array of them.
-@helper
-def _sort_column(
-    heights: Floats,
-    rows: Integers,
-    first: int,
-    end: int,
-    spare_heights: Floats,
-    spare_rows: Integers,
-) -> None:
-    """Sort by height: short runs by insertion, then merged two by two."""
-    for run in range(first, end, _RUN):
-        for place in range(run + 1, min(run + _RUN, end)):
-            height, row = heights[place], rows[place]
-            free = place
-            while free > run and heights[free - 1] > height:
-                heights[free], rows[free] = heights[free - 1], rows[free - 1]
-                free -= 1
-            heights[free], rows[free] = height, row
-    length = _RUN
-    while length < end - first:
-        for left in range(first, end - length, 2 * length):
-            _merge(
-                heights,
-                rows,
-                left,
-                left + length,
-                min(left + 2 * length, end),
-                spare_heights,
-                spare_rows,
-            )
-        length *= 2
-
-
-@helper
-def _merge(
-    heights: Floats,
-    rows: Integers,
-    left: int,
-    right: int,
-    end: int,
-    spare_heights: Floats,
-    spare_rows: Integers,
-) -> None:
-    """Merge two neighbouring runs; the left one is put aside."""
-    if heights[right - 1] <= heights[right]:
-        return
-    count = right - left
-    for place in range(count):
-        spare_heights[place] = heights[left + place]
-        spare_rows[place] = rows[left + place]
-    taken, place = 0, left
-    while taken < count:
-        if right < end and heights[right] < spare_heights[taken]:
-            heights[place], rows[place] = heights[right], rows[right]
-            right += 1
-        else:
-            heights[place], rows[place] = spare_heights[taken], spare_rows[taken]
-            taken += 1
-        place += 1
+    bounds = group_bounds(starts, threads, _SMALLEST_RANGE)
+    rows = np.concatenate(over_ranges(sort, bounds, threads))
+    return Columns(points[rows, 2], rows, starts, cells)
 
 
 @helper
@@ -170,3 +85,107 @@ def first_above(heights: Floats, first: int, end: int, height: float) -> int:
         else:
             end = middle
     return first
+
+
+class Levels(NamedTuple):
+    """Levels sorted by column, ascending within a column."""
+
+    heights: Floats
+    """Mean height of a level's points, metres, (L,)."""
+    spreads: Floats
+    """Standard deviation of their heights, metres, (L,); -1 where there are fewer than three."""
+    slots: Integers
+    """Slot of the level's column, (L,)."""
+    bare: Booleans
+    """Whether the level is the lowest of its column and has free height above it, (L,)."""
+
+    def keep(self, mask: Booleans) -> "Levels":
+        """Return the levels where `mask` holds."""
+        return Levels(self.heights[mask], self.spreads[mask], self.slots[mask], self.bare[mask])
+
+
+def levels_of(summary: Summary, lattice: Lattice) -> Levels:
+    """Return the levels that were found in the columns of a lattice, whose cells are theirs."""
+    order = np.argsort(lattice.slots, kind="stable")
+    heights, spreads, bare = summary.values[order].T.copy()
+    return Levels(heights, spreads, lattice.slots[order], bare > 0)
+
+
+def find_levels(
+    columns: Columns, thickness: float, clearance: float, clutter: float, threads: int = 1
+) -> Summary:
+    """Find the levels of every column.
+
+    Of each, mean and spread of its heights, and whether it is the lowest of its column and has free
+    height above it: see `Levels`.
+
+    A level is a layer of at most `thickness` metres above whose top the next `clearance` metres
+    hold no more than `clutter` times its own points; of layers that overlap the fullest stands,
+    the lowest if equal. The lowest layer of a column is a level in any case: what stands on a
+    floor hides none of the lowest floor.
+    """
+    find = partial(_find_levels, columns.heights, columns.starts, thickness, clearance, clutter)
+    found = over_ranges(find, columns.bounds(threads), threads)
+    heights, spreads, numbers, bare = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Summary(columns.cells[numbers], np.column_stack([heights, spreads, bare]))
+
+
+@compiled
+def _find_levels(
+    columns: Floats,
+    starts: Integers,
+    thickness: float,
+    clearance: float,
+    clutter: float,
+    first_column: int,
+    end_column: int,
+) -> tuple[Floats, Floats, Integers, Booleans]:
+    most = starts[end_column] - starts[first_column]
+    heights = np.empty(most, np.float64)
+    spreads = np.empty(most, np.float64)
+    numbers = np.empty(most, np.int64)
+    bare = np.empty(most, np.bool_)
+    found = 0
+    for column in range(first_column, end_column):
+        first, end = starts[column], starts[column + 1]
+        top = first
+        while top < end and columns[top] <= columns[first] + thickness:
+            top += 1
+        kept_first, kept_top, kept_bare = first, top, False
+        top, above = first, first
+        for bottom in range(first, end):
+            while top < end and columns[top] <= columns[bottom] + thickness:
+                top += 1
+            above = max(above, top)
+            while above < end and columns[above] <= columns[top - 1] + clearance:
+                above += 1
+            if above - top > clutter * (top - bottom):
+                continue
+            if columns[bottom] > columns[kept_top - 1]:
+                heights[found], spreads[found] = _mean_and_spread(columns, kept_first, kept_top)
+                numbers[found], bare[found] = column, kept_bare
+                found += 1
+                kept_first, kept_top, kept_bare = bottom, top, False
+            elif top - bottom > kept_top - kept_first:
+                kept_first, kept_top = bottom, top
+            kept_bare = kept_bare or bottom == first
+        heights[found], spreads[found] = _mean_and_spread(columns, kept_first, kept_top)
+        numbers[found], bare[found] = column, kept_bare
+        found += 1
+    return heights[:found], spreads[:found], numbers[:found], bare[:found]
+
+
+@helper
+def _mean_and_spread(heights: Floats, first: int, end: int) -> tuple[float, float]:
+    # relative to the lowest point: the result does not lose digits far from z = 0
+    lowest = heights[first]
+    total = 0.0
+    squares = 0.0
+    for place in range(first, end):
+        rise = heights[place] - lowest
+        total += rise
+        squares += rise * rise
+    mean = total / (end - first)
+    if end - first < _FEWEST_FOR_SPREAD:
+        return lowest + mean, -1.0
+    return lowest + mean, np.sqrt(max(squares / (end - first) - mean * mean, 0.0))

@@ -5,6 +5,8 @@ surface as the floor's own. Within a quarter of a cell it is decided by the majo
 than `foot` times as many points follow above as there are near the surface, they are a foot.
 """
 
+from functools import partial
+
 import numpy as np
 
 from dynahull.compilation import compiled, helper
@@ -18,56 +20,36 @@ from dynahull.threads import over_ranges
 _FOOT_HEIGHT = 0.3
 """Metres; what stands on the ground is looked for so high above it."""
 
+_Tolerances = tuple[float, float, float, float, float]
+"""Metres, a unit of slope, a metre of noise, and at most; and the steepest slope."""
+
 
 def decide(
     points: Floats, columns: Columns, surface: Surface, p: SlopeParameters, threads: int = 1
 ) -> Booleans:
     """Tell which points are ground, (N,): those near the surface over their columns."""
-    ground = np.zeros(len(points), np.bool_)
-    tolerances = np.array(
-        [
-            p.expert.tolerance,
-            p.expert.slope_tolerance,
-            p.expert.noise_tolerance,
-            p.expert.tolerance_limit,
-        ]
-    )
-    foot = np.inf if p.clearance is None else p.expert.foot
-    over_ranges(
-        lambda first, end: _decide(
-            points,
-            *columns[:3],
-            *surface,
-            tolerances,
-            p.steepest,
-            p.expert.cell,
-            foot,
-            first,
-            end,
-            ground,
-        ),
-        columns.bounds(threads),
-        threads,
-    )
+    ground, e = np.zeros(len(points), np.bool_), p.expert
+    widths = (e.tolerance, e.slope_tolerance, e.noise_tolerance, e.tolerance_limit, p.steepest)
+    foot = np.inf if p.clearance is None else e.foot
+    work = partial(_decide, points, columns, surface, widths, e.cell, foot, ground)
+    over_ranges(work, columns.bounds(threads), threads)
     return ground
 
 
 @compiled
 def _decide(
     points: Floats,
-    heights: Floats,
-    rows: Integers,
-    starts: Integers,
-    planes: Floats,
-    plane_starts: Integers,
-    tolerances: Floats,
-    steepest: float,
+    columns: Columns,
+    surface: Surface,
+    tolerances: _Tolerances,
     cell: float,
     foot: float,
+    ground: Booleans,
     first_column: int,
     end_column: int,
-    ground: Booleans,
 ) -> None:
+    rows, starts = columns.rows, columns.starts
+    planes, plane_starts = surface.planes, surface.starts
     longest, most = 0, 0
     for column in range(first_column, end_column):
         longest = max(longest, starts[column + 1] - starts[column])
@@ -83,7 +65,7 @@ def _decide(
         if lowest == highest:
             continue
         for k in range(lowest, highest):
-            widths[k - lowest] = _width_about(planes[k], tolerances, steepest)
+            widths[k - lowest] = _width_about(planes[k], tolerances)
         near = 0
         for place in range(first, end):
             row = rows[place]
@@ -95,7 +77,7 @@ def _decide(
             parts[place - first] = i * FOOT_PARTS + j
         if near == 0 or foot == np.inf:
             continue
-        _sort_parts(heights, first, end, parts, part_heights, part_starts)
+        _sort_parts(columns.heights, first, end, parts, part_heights, part_starts)
         for place in range(end - first):
             row = rows[first + place]
             part = parts[place]
@@ -107,12 +89,12 @@ def _decide(
 
 
 @helper
-def _width_about(plane: Floats, tolerances: Floats, steepest: float) -> float:
+def _width_about(plane: Floats, tolerances: _Tolerances) -> float:
     """Return how far from a plane points are ground, or -1 if it is too steep."""
+    base, per_slope, per_noise, limit, steepest = tolerances
     slope = np.hypot(plane[SLOPE_X], plane[SLOPE_Y])
     if slope > steepest:
         return -1.0
-    base, per_slope, per_noise, limit = tolerances
     return min(base + per_slope * slope + per_noise * plane[NOISE], limit)
 
 

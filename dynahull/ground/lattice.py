@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dynahull.compilation import compiled, helper, inlined
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.compilation import inlined
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -27,9 +26,6 @@ _KEY_BITS = 32
 _HALF_KEY = 1 << (_KEY_BITS - 1)
 _LOWER_KEY = (1 << _KEY_BITS) - 1
 _NO_KEY = np.iinfo(np.int64).min
-_FIRST_TABLE = 256
-_SMALLEST_RANGE = 20_000
-"""Points."""
 
 FARTHEST_CELL = 2.0**34
 """Cells beyond it are one: block coordinates, and a window about them, fit half a key."""
@@ -59,7 +55,7 @@ class Lattice(NamedTuple):
         return (len(self.blocks) + 1) * _SLOTS_PER_BLOCK
 
 
-def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -> Lattice:
+def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
     """Sort points into the cells of a lattice.
 
     Parameters
@@ -69,23 +65,19 @@ def build_lattice(points: Floats, cell: float, reach: float, threads: int = 1) -
     reach : float
         Metres; the widest window that will be read about a cell.
     """
-    slots = np.empty(len(points), np.int64)
-    bounds = range_bounds(len(points), threads, _SMALLEST_RANGE)
-    found = over_ranges(
-        lambda first, end: _find_blocks(points, cell, first, end, slots), bounds, threads
+    i, j = (
+        np.clip(np.floor(points[:, axis] / cell), -FARTHEST_CELL, FARTHEST_CELL).astype(np.int64)
+        for axis in range(2)
     )
-    keys, numbers = np.unique(np.concatenate(found), return_inverse=True)
-    # each range has numbered its blocks as they came
-    parts = dict(
-        zip(bounds, np.split(numbers, np.cumsum([len(part) for part in found])), strict=True)
+    keys, numbers = np.unique(
+        ((i >> BLOCK_BITS) << _KEY_BITS) + (j >> BLOCK_BITS), return_inverse=True
     )
-    over_ranges(
-        lambda first, end: _renumber_blocks(slots, parts[first], first, end), bounds, threads
-    )
+    within = ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
     blocks = np.empty((len(keys), 2), np.int64)
     blocks[:, 1] = ((keys + _HALF_KEY) & _LOWER_KEY) - _HALF_KEY
     blocks[:, 0] = (keys - blocks[:, 1]) >> _KEY_BITS
-    return Lattice(cell, slots, blocks, _neighbours(keys, int(np.ceil(reach / cell)) // BLOCK + 1))
+    span = int(np.ceil(reach / cell)) // BLOCK + 1
+    return Lattice(cell, (numbers << _SLOT_BITS) + within, blocks, _neighbours(keys, span))
 
 
 def lattice_of_cells(cells: Integers, cell: float, reach: float) -> Lattice:
@@ -94,9 +86,9 @@ def lattice_of_cells(cells: Integers, cell: float, reach: float) -> Lattice:
     return lattice._replace(cell=cell)
 
 
-def number_columns(points: Floats, cell: float, threads: int = 1) -> tuple[Integers, Integers]:
+def number_columns(points: Floats, cell: float) -> tuple[Integers, Integers]:
     """Return the number of each point's cell among those occupied, (N,), and these, (M, 2)."""
-    lattice = build_lattice(points, cell, 0.0, threads)
+    lattice = build_lattice(points, cell, 0.0)
     occupied = np.zeros(lattice.slot_count, np.bool_)
     occupied[lattice.slots] = True
     slots = np.flatnonzero(occupied)
@@ -113,86 +105,6 @@ def _neighbours(keys: Integers, span: int) -> Integers:
     known = np.append(keys, _NO_KEY)
     blocks[known[blocks] != wanted] = len(keys)
     return blocks << _SLOT_BITS
-
-
-@compiled
-def _find_blocks(points: Floats, cell: float, first: int, end: int, slots: Integers) -> Integers:
-    """Return the keys of the blocks of a range of points, in the order they appear.
-
-    They are found in a table by a hash of the key. A slot says the cell within the block and,
-    until the blocks of all ranges are known, the block's place among those of this range.
-    """
-    keys = np.empty(_FIRST_TABLE // 2, np.int64)
-    table = _empty_table(_FIRST_TABLE)
-    found = 0
-    last, block = np.int64(_NO_KEY), 0
-    for point in range(first, end):
-        i = cell_of(points[point, 0], cell)
-        j = cell_of(points[point, 1], cell)
-        key = _block_key(i >> BLOCK_BITS, j >> BLOCK_BITS)
-        if key != last:
-            last = key
-            if found == len(keys):
-                keys, table = _enlarged(keys)
-            place = _place_of(key, keys, table)
-            if table[place] < 0:
-                keys[found] = key
-                table[place] = found
-                found += 1
-            block = table[place]
-        slots[point] = (block << _SLOT_BITS) + ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
-    return keys[:found]
-
-
-@helper
-def _place_of(key: int, keys: Integers, table: Integers) -> int:
-    """Where a key stands in the table, or may be put: the first place free after its hash."""
-    place = _hash(key) & (len(table) - 1)
-    while table[place] >= 0 and keys[table[place]] != key:
-        place = (place + 1) & (len(table) - 1)
-    return place
-
-
-@helper
-def _empty_table(size: int) -> Integers:
-    table = np.empty(size, np.int64)
-    for place in range(size):
-        table[place] = -1
-    return table
-
-
-@helper
-def _enlarged(keys: Integers) -> tuple[Integers, Integers]:
-    larger = np.empty(2 * len(keys), np.int64)
-    table = _empty_table(4 * len(keys))
-    for number in range(len(keys)):
-        larger[number] = keys[number]
-        table[_place_of(keys[number], larger, table)] = number
-    return larger, table
-
-
-@inlined
-def _hash(key: int) -> int:
-    # Fibonacci hashing (Knuth, volume 3, section 6.4); the high bits are the mixed ones.
-    return (key * 0x1E3779B97F4A7C15) >> 32
-
-
-@compiled
-def _renumber_blocks(slots: Integers, numbers: Integers, first: int, end: int) -> None:
-    for point in range(first, end):
-        block = numbers[slots[point] >> _SLOT_BITS]
-        slots[point] = (block << _SLOT_BITS) + (slots[point] & (_SLOTS_PER_BLOCK - 1))
-
-
-@inlined
-def cell_of(coordinate: float, cell: float) -> int:
-    """Return the cell along one axis."""
-    return int(min(max(np.floor(coordinate / cell), -FARTHEST_CELL), FARTHEST_CELL))
-
-
-@inlined
-def _block_key(i: int, j: int) -> int:
-    return (i << _KEY_BITS) + j
 
 
 @inlined

@@ -39,8 +39,6 @@ def ground_mask(
         The method and its settings.
     classification : (N,) uint8 array, optional
         ASPRS classes, for `method: las_class`.
-    threads : int
-        Threads of `method: slope`. The result does not depend on it.
     around : GroundSummary, optional
         For `method: slope` of a part of a map: what `ground_summary` says of the columns around.
 
@@ -104,8 +102,6 @@ def height_above_ground(
         Which of them are ground.
     parameters : GroundParameters
         The lattice of its `slope` section is used, whatever the method.
-    threads : int
-        The result does not depend on it.
 
     Returns
     -------

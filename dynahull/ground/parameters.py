@@ -1,6 +1,6 @@
 """Parameters of the ground step: one method is chosen, each has a section of its own."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
@@ -9,89 +9,62 @@ class SlopeExpert(BaseModel, extra="forbid", frozen=True):
     """What the slope method seldom needs to be told: how it looks, and how near is near."""
 
     cell: float = Field(
-        default=0.25, gt=0, le=10, description="Side of a lattice cell, metres (0 < cell <= 10)."
+        0.25, gt=0, le=10, description="Side of a lattice cell, metres (0 < cell <= 10)."
     )
-    level: float = Field(
-        default=0.1,
-        gt=0,
-        le=5,
-        description="Thickness of a floor's layer of points, metres (0 < level <= 5).",
+    level: Annotated[float, Field(gt=0, le=5)] = Field(
+        0.1, description="Thickness of a floor's layer of points, metres (0 < level <= 5)."
     )
-    clutter: float = Field(
-        default=0.2,
-        ge=0,
-        le=1,
+    clutter: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.2,
         description="Points tolerated in the free height, as a share of those of the floor "
         "beneath (0 to 1): the ghosts of those who walked there.",
     )
-    flatness: float = Field(
-        default=0.5,
-        ge=0,
-        le=1,
+    flatness: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.5,
         description="Share of the occupied cells about a floor's cell that must continue it "
         "(0 to 1).",
     )
-    continuity: float = Field(
-        default=0.3,
-        gt=0,
-        le=10,
+    continuity: Annotated[float, Field(gt=0, le=10)] = Field(
+        0.3,
         description="Rise over distance within which a cell continues its neighbour "
         "(0 < continuity <= 10).",
     )
-    breadth: float = Field(
-        default=0.8,
-        ge=0,
-        le=2,
+    breadth: Annotated[float, Field(ge=0, le=2)] = Field(
+        0.8,
         description="Least extent across of the cells that continue a floor, variance in cells "
         "squared (0 to 2; a line has 0): the foot of a wall is no floor.",
     )
-    storey_radius: float = Field(
-        default=3.5,
-        gt=0,
-        le=100,
+    storey_radius: Annotated[float, Field(gt=0, le=100)] = Field(
+        3.5,
         description="Radius within which something must stand on an upper floor, lest it be a "
         "ceiling, metres (0 < storey_radius <= 100).",
     )
-    extension: float = Field(
-        default=1.0,
-        gt=0,
-        le=100,
+    extension: Annotated[float, Field(gt=0, le=100)] = Field(
+        1.0,
         description="How far the ground goes on under walls and furniture, metres "
         "(0 < extension <= 100).",
     )
-    tolerance: float = Field(
-        default=0.01,
-        gt=0,
-        le=10,
+    tolerance: Annotated[float, Field(gt=0, le=10)] = Field(
+        0.01,
         description="Distance from the ground's surface within which points are ground, metres "
         "(0 < tolerance <= 10), before the next two are added.",
     )
-    noise_tolerance: float = Field(
-        default=2.2,
-        ge=0,
-        le=10,
+    noise_tolerance: Annotated[float, Field(ge=0, le=10)] = Field(
+        2.2,
         description="Tolerance added per metre of the floor's own noise, the standard deviation "
         "of its points about the local plane (0 to 10).",
     )
-    slope_tolerance: float = Field(
-        default=0.1,
-        ge=0,
-        le=10,
-        description="Tolerance added per unit of the surface's slope, metres (0 to 10).",
+    slope_tolerance: Annotated[float, Field(ge=0, le=10)] = Field(
+        0.1, description="Tolerance added per unit of the surface's slope, metres (0 to 10)."
     )
-    foot: float = Field(
-        default=1.0,
-        ge=0,
-        le=1000,
+    foot: Annotated[float, Field(ge=0, le=1000)] = Field(
+        1.0,
         description="A point near the ground is the foot of a wall or a walker where, within a "
         "quarter of a cell, the 0.3 m above hold more than `foot` times the points that are near "
         "the ground (0 to 1000). Not used where `clearance` is null.",
     )
     tolerance_limit: float = Field(
-        default=0.15,
-        gt=0,
-        le=100,
-        description="The three together at most, metres (0 < limit <= 100).",
+        0.15, gt=0, le=100, description="The three together at most, metres (0 < limit <= 100)."
     )
 
 
@@ -103,82 +76,62 @@ class SlopeParameters(BaseModel, extra="forbid", frozen=True):
     """
 
     clearance: float | None = Field(
-        default=1.8,
+        1.8,
         gt=0,
         le=100,
         description="Free height above a floor, metres (0 < clearance <= 100). null: one storey, "
         "the lowest points, as in airborne scans; `expert.clutter`, `expert.breadth` "
         "and `expert.storey_radius` then mean nothing.",
     )
-    window: float = Field(
-        default=2.0,
-        gt=0,
-        le=100,
+    window: Annotated[float, Field(gt=0, le=100)] = Field(
+        2.0,
         description="Half-width of the widest object told from the ground, metres "
         "(0 < window <= 100).",
     )
-    slope: float = Field(
-        default=0.3,
-        gt=0,
-        le=5,
+    slope: Annotated[float, Field(gt=0, le=5)] = Field(
+        0.3,
         description="Rise over distance (0 < slope <= 5): what stands out by more than "
         "step + slope * r, and is as wide as a disk of radius r, is an object.",
     )
     step: float = Field(
-        default=0.05,
-        ge=0,
-        le=5,
-        description="Height of a step that is still ground, metres (0 to 5).",
+        0.05, ge=0, le=5, description="Height of a step that is still ground, metres (0 to 5)."
     )
-    steepest: float = Field(
-        default=0.45,
-        gt=0,
-        le=100,
+    steepest: Annotated[float, Field(gt=0, le=100)] = Field(
+        0.45,
         description="Rise over distance of the steepest surface that is ground "
         "(0 < steepest <= 100).",
     )
-    expert: SlopeExpert = Field(
-        default=SlopeExpert(), description="What seldom needs another value."
-    )
+    expert: SlopeExpert = Field(SlopeExpert(), description="What seldom needs another value.")
 
 
 class ClothParameters(BaseModel, extra="forbid", frozen=True):
     """Cloth simulation (Zhang et al. 2016), by the package cloth-simulation-filter."""
 
     cloth_resolution: float = Field(
-        default=0.5,
-        gt=0,
-        le=100,
-        description="Distance between the cloth's particles, metres (0 to 100).",
+        0.5, gt=0, le=100, description="Distance between the cloth's particles, metres (0 to 100)."
     )
     rigidness: Literal[1, 2, 3] = Field(
-        default=3, description="Stiffness of the cloth: 1 steep slopes, 2 terraces, 3 flat ground."
+        3, description="Stiffness of the cloth: 1 steep slopes, 2 terraces, 3 flat ground."
     )
-    class_threshold: float = Field(
-        default=0.1,
-        gt=0,
-        le=100,
+    class_threshold: Annotated[float, Field(gt=0, le=100)] = Field(
+        0.1,
         description="Distance from the cloth within which points are ground, metres (0 to 100).",
     )
-    slope_smooth: bool = Field(
-        default=False, description="Fit the cloth to steep slopes afterwards."
-    )
+    slope_smooth: bool = Field(False, description="Fit the cloth to steep slopes afterwards.")
     time_step: float = Field(
-        default=0.65, gt=0, le=10, description="Time step of the simulation (0 to 10)."
+        0.65, gt=0, le=10, description="Time step of the simulation (0 to 10)."
     )
-    iterations: int = Field(
-        default=500, ge=1, le=100_000, description="Steps of the simulation, at most."
-    )
+    iterations: int = Field(500, ge=1, le=100_000, description="Steps of the simulation, at most.")
 
 
 class GroundParameters(BaseModel, extra="forbid", frozen=True):
     """How the ground is found."""
 
     method: Literal["slope", "csf", "none", "las_class"] = Field(
-        default="slope",
+        "slope",
         description="`slope`: by the slope of the local surface. `csf`: cloth simulation (an "
         "optional package, not local: the map is one piece). `none`: no point is ground. "
         "`las_class`: points of LAS class 2 are ground.",
     )
-    slope: SlopeParameters = Field(default=SlopeParameters(), description="For `method: slope`.")
-    csf: ClothParameters = Field(default=ClothParameters(), description="For `method: csf`.")
+    slope: SlopeParameters = Field(SlopeParameters(), description="For `method: slope`.")
+    csf: ClothParameters = Field(ClothParameters(), description="For `method: csf`.")

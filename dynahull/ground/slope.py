@@ -6,15 +6,15 @@ a slope allows is an object (Vosselman 2000; Zhang et al. 2003; Pingel et al. 20
 the levels that are left. A point near such a plane is ground, unless it is the foot of something.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from dynahull.compilation import compiled, compiling
-from dynahull.ground.candidates import are_flat, are_floors, outlines
-from dynahull.ground.columns import Columns, sort_columns
+from dynahull.ground.candidates import are_flat, are_floors, outlines, stand_out
+from dynahull.ground.columns import Columns, find_levels, levels_of, sort_columns
 from dynahull.ground.decision import decide
 from dynahull.ground.lattice import (
     Booleans,
@@ -24,13 +24,11 @@ from dynahull.ground.lattice import (
     number_columns,
     starts_of,
 )
-from dynahull.ground.levels import find_levels, levels_of
-from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import SlopeParameters
 from dynahull.ground.reach import FLAT_RADIUS
 from dynahull.ground.surface import Surface, fit_surface, height_over
 from dynahull.summary import Summary
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.threads import over_items
 
 _STOREY_TO_CLEARANCE = 1.2
 """Floors lie at least the clearance and a slab apart: nearer levels share a storey."""
@@ -121,7 +119,7 @@ def height_above(points: Floats, floors: Summary, p: SlopeParameters, threads: i
     where there is no ground near. `floors` are those within `height_radius` of the points.
     """
     clearance = np.inf if p.clearance is None else p.clearance
-    numbers, cells = number_columns(points, p.expert.cell, threads)
+    numbers, cells = number_columns(points, p.expert.cell)
     known = np.concatenate([floors.cells, cells])
     lattice = lattice_of_cells(known, p.expert.cell, p.expert.extension)
     of_floors, wanted = np.split(lattice.slots, [len(floors)])
@@ -131,13 +129,9 @@ def height_above(points: Floats, floors: Summary, p: SlopeParameters, threads: i
         levels, lattice, wanted, p.expert.extension, clearance / 2, thickness, threads
     )
     heights = np.full(len(points), np.nan)
-    over_ranges(
-        lambda first, end: _height_above(
-            points, numbers, *surface, p.expert.cell, p.expert.tolerance_limit, first, end, heights
-        ),
-        range_bounds(len(points), threads, _SMALLEST_RANGE),
-        threads,
-    )
+    cell, tolerance = p.expert.cell, p.expert.tolerance_limit
+    work = partial(_height_above, points, numbers, surface, cell, tolerance, heights)
+    over_items(work, len(points), threads, _SMALLEST_RANGE)
     return heights
 
 
@@ -145,14 +139,14 @@ def height_above(points: Floats, floors: Summary, p: SlopeParameters, threads: i
 def _height_above(
     points: Floats,
     numbers: Integers,
-    planes: Floats,
-    starts: Integers,
+    surface: Surface,
     cell: float,
     tolerance: float,
+    heights: Floats,
     first_point: int,
     end_point: int,
-    heights: Floats,
 ) -> None:
+    planes, starts = surface.planes, surface.starts
     for point in range(first_point, end_point):
         for k in range(starts[numbers[point]], starts[numbers[point] + 1]):
             height = height_over(points[point], planes[k], cell)

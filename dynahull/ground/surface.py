@@ -1,21 +1,14 @@
 """The ground's surface: a plane for each cell and storey, fitted to the ground levels near it."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from dynahull.compilation import compiled, helper, inlined
-from dynahull.ground.lattice import (
-    Booleans,
-    Floats,
-    Integers,
-    Lattice,
-    disk_offsets,
-    slot_at,
-    starts_of,
-)
-from dynahull.ground.levels import Levels
-from dynahull.threads import over_ranges, range_bounds
+from dynahull.ground.columns import Levels
+from dynahull.ground.lattice import Floats, Integers, Lattice, disk_offsets, slot_at, starts_of
+from dynahull.threads import over_items
 
 HEIGHT, SLOPE_X, SLOPE_Y, NOISE = range(4)
 """Columns of `Surface.planes`."""
@@ -24,7 +17,7 @@ _SUPPORT = 12
 """Levels that a plane is fitted to, at most: the nearest."""
 
 _SMALLEST_RANGE = 2_000
-"""Cells, or levels."""
+"""Cells."""
 
 _STOREYS = 16
 """Storeys above each other in one column, at most; further ones are not fitted."""
@@ -71,34 +64,11 @@ def fit_surface(
         Of a layer, metres: its spread where it has too few points is that of an even layer.
     """
     offsets = disk_offsets(extension / lattice.cell)
-    near = np.zeros(lattice.slot_count, np.bool_)
-    over_ranges(
-        lambda first, end: _mark_near(levels.slots, lattice.neighbours, offsets, first, end, near),
-        range_bounds(len(levels.slots), threads, _SMALLEST_RANGE),
-        threads,
-    )
-    places = np.flatnonzero(near[wanted])
-    slots = wanted[places]
-    level_starts = starts_of(levels.slots, lattice.slot_count)
-    fitted = over_ranges(
-        lambda first, end: _fit_planes(
-            levels.heights,
-            levels.spreads,
-            level_starts,
-            lattice.neighbours,
-            slots[first:end],
-            offsets,
-            lattice.cell,
-            storey,
-            thickness / np.sqrt(12.0),
-        ),
-        range_bounds(len(slots), threads, _SMALLEST_RANGE),
-        threads,
-    )
-    starts = np.zeros(len(wanted) + 1, np.int64)
-    starts[places + 1] = np.concatenate([counts for _, counts in fitted])
-    planes = np.concatenate([planes for planes, _ in fitted])
-    return Surface(planes, np.cumsum(starts, out=starts))
+    starts, unknown = starts_of(levels.slots, lattice.slot_count), thickness / np.sqrt(12.0)
+    about = (starts, lattice.neighbours, offsets, lattice.cell)
+    fit = partial(_fit_planes, levels, *about, storey, unknown, wanted)
+    planes, counts = zip(*over_items(fit, len(wanted), threads, _SMALLEST_RANGE), strict=True)
+    return Surface(np.concatenate(planes), np.cumsum(np.concatenate([[0], *counts])))
 
 
 @inlined
@@ -110,38 +80,25 @@ def height_over(point: Floats, plane: Floats, cell: float) -> float:
 
 
 @compiled
-def _mark_near(
-    slots: Integers,
-    neighbours: Integers,
-    offsets: Integers,
-    first_level: int,
-    end_level: int,
-    near: Booleans,
-) -> None:
-    for level in range(first_level, end_level):
-        for k in range(len(offsets)):
-            slot = slot_at(slots[level], offsets[k, 0], offsets[k, 1], neighbours)
-            near[slot] = True
-
-
-@compiled
 def _fit_planes(
-    heights: Floats,
-    spreads: Floats,
+    levels: Levels,
     starts: Integers,
     neighbours: Integers,
-    wanted: Integers,
     offsets: Integers,
     cell: float,
     storey: float,
     unknown: float,
+    wanted: Integers,
+    first_cell: int,
+    end_cell: int,
 ) -> tuple[Floats, Integers]:
-    planes = np.empty((len(wanted) + _STOREYS, 4), np.float64)
-    counts = np.zeros(len(wanted), np.int64)
+    heights, spreads = levels.heights, levels.spreads
+    planes = np.empty((end_cell - first_cell + _STOREYS, 4), np.float64)
+    counts = np.zeros(end_cell - first_cell, np.int64)
     sums = np.empty((_STOREYS, 13), np.float64)
     bases = np.empty(_STOREYS, np.float64)
     found = 0
-    for place in range(len(wanted)):
+    for place in range(first_cell, end_cell):
         storeys = 0
         for k in range(len(offsets)):
             slot = slot_at(wanted[place], offsets[k, 0], offsets[k, 1], neighbours)
@@ -168,7 +125,7 @@ def _fit_planes(
             _solve(sums[lowest], bases[lowest], cell, planes[found])
             found += 1
             bases[lowest] = np.inf
-        counts[place] = storeys
+        counts[place - first_cell] = storeys
     return planes[:found], counts
 
 

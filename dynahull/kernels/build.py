@@ -5,40 +5,15 @@ with partitions. No branch depends on a single comparison, since half of these b
 mispredicted.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled, inlined
-from dynahull.kernels.tree import LEAF_SIZE, Tree, leaf_count, make_stack
+from dynahull.kernels.tree import LEAF_SIZE, Tree, Walk, add_halves, begin_walk
 from dynahull.kernels.vectors import extremes, lowest_place, places_from, places_up_to
 
-_LARGEST_SAMPLE = 63
 
-
-class TreeWorkspace(NamedTuple):
-    """Arrays to build a tree with.
-
-    Attributes
-    ----------
-    stack : (levels, 3) int64 array
-        A `make_stack`.
-    sample : (sizes,) float64 array
-        Coordinates, sorted.
-    """
-
-    stack: NDArray[np.int64]
-    sample: NDArray[np.float64]
-
-
-def make_tree_workspace() -> TreeWorkspace:
-    """Make the arrays to build a tree with."""
-    return TreeWorkspace(make_stack(), np.empty(_LARGEST_SAMPLE))
-
-
-@compiled
-def build_tree(tree: Tree, rows: NDArray[np.int64], workspace: TreeWorkspace) -> None:
+def build(tree: Tree, rows: NDArray[np.int64], walk: Walk) -> None:
     """Put the points of `tree` into kd-tree order, in place, and fill in row numbers and boxes.
 
     Each node is split where its box is longest. A node whose points all share one place is put in
@@ -46,13 +21,11 @@ def build_tree(tree: Tree, rows: NDArray[np.int64], workspace: TreeWorkspace) ->
     first ones. `rows` are the row numbers in the order of the input.
     """
     point_count = tree.rows.size
-    stack = workspace.stack
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(point_count)
-    depth = 1
+    depth = begin_walk(walk, tree)
     random = np.uint64(0x9E3779B97F4A7C15)
     while depth > 0:
         depth -= 1
-        node, first, leaves = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+        node, first, leaves = walk.nodes[depth, 0], walk.nodes[depth, 1], walk.nodes[depth, 2]
         begin = first * LEAF_SIZE
         end = min((first + leaves) * LEAF_SIZE, point_count)
         axis, extent = _measure(tree, node, begin, end)
@@ -60,18 +33,10 @@ def build_tree(tree: Tree, rows: NDArray[np.int64], workspace: TreeWorkspace) ->
             _sort_by_row(tree, rows, begin, end)
         if leaves == 1:
             continue
-        left = (leaves + 1) // 2
         if extent > 0.0:
-            middle = begin + left * LEAF_SIZE
-            random = _split(tree, axis, begin, end, middle, workspace.sample, random)
-        stack[depth, 0], stack[depth, 1], stack[depth, 2] = (
-            node + 2 * left,
-            first + left,
-            leaves - left,
-        )
-        depth += 1
-        stack[depth, 0], stack[depth, 1], stack[depth, 2] = node + 1, first, left
-        depth += 1
+            middle = begin + (leaves + 1) // 2 * LEAF_SIZE
+            random = _split(tree, axis, begin, end, middle, random)
+        depth = add_halves(walk, depth, node, first, leaves)
     for i in range(np.uint64(point_count)):
         tree.rows[i] = rows[np.uint64(tree.order[i])]
 
@@ -92,23 +57,19 @@ def _measure(tree: Tree, node: int, begin: int, end: int) -> tuple[int, float]:
 
 @compiled
 def _split(
-    tree: Tree,
-    axis: int,
-    begin: int,
-    end: int,
-    middle: int,
-    sample: NDArray[np.float64],
-    random: np.uint64,
+    tree: Tree, axis: int, begin: int, end: int, middle: int, random: np.uint64
 ) -> np.uint64:
     """Reorder a range so that no point before `middle` lies beyond one from there on.
 
-    Selection by partitioning. Returns the state of the generator of random numbers.
+    Selection by partitioning at random values. Returns the state of their generator.
     """
     values = tree.x if axis == 0 else (tree.y if axis == 1 else tree.z)
     low, high = begin, end
     while high - low > 1:
-        random = _take_sample(values, low, high, sample, random)
-        pivot = sample[_sample_size(high - low) * (middle - low) // (high - low)]
+        random ^= random << np.uint64(13)
+        random ^= random >> np.uint64(7)
+        random ^= random << np.uint64(17)
+        pivot = values[low + np.int64((random >> np.uint64(33)) % np.uint64(high - low))]
         lower_end, upper_begin = _partition(tree, values, low, high, pivot)
         if middle < lower_end:
             high = lower_end
@@ -116,33 +77,6 @@ def _split(
             low = upper_begin
         else:
             break
-    return random
-
-
-@inlined
-def _sample_size(count: int) -> int:
-    """Return of how many values to choose the pivot of so many: the more, the nearer its rank."""
-    size = 3
-    while size < _LARGEST_SAMPLE and size * size * size < count:
-        size += 4
-    return size
-
-
-@compiled
-def _take_sample(
-    values: NDArray[np.float64], low: int, high: int, sample: NDArray[np.float64], random: np.uint64
-) -> np.uint64:
-    """Take random values of a range, sorted; return the generator's state."""
-    for filled in range(_sample_size(high - low)):
-        random ^= random << np.uint64(13)
-        random ^= random >> np.uint64(7)
-        random ^= random << np.uint64(17)
-        value = values[low + np.int64((random >> np.uint64(33)) % np.uint64(high - low))]
-        j = filled
-        while j > 0 and sample[j - 1] > value:
-            sample[j] = sample[j - 1]
-            j -= 1
-        sample[j] = value
     return random
 
 

@@ -18,18 +18,22 @@ from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.lanes import LANES, aligned, padded
 from dynahull.kernels.tree import (
     LEAF_SIZE,
+    Place,
     Tree,
+    Walk,
+    add_halves,
+    begin_walk,
     box_to_box,
     is_one_place,
     leaf_count,
-    make_stack,
+    make_walk,
 )
 
 _SAFE = 1.0 + 1e-9  # covers the rounding of the triangle inequality
 _TINY = 1e-290  # and the squares that underflow
 _LARGEST_SCALE = 1e150  # squares that underflow stay far below single precision
 
-Place = tuple[float, float, float]
+_Singles = NDArray[np.float32]
 
 
 class Candidates(NamedTuple):
@@ -39,33 +43,24 @@ class Candidates(NamedTuple):
     ----------
     leaf, node : (capacity,) int64 arrays
         Numbers of the leaves, and of the nodes that have their boxes.
-    low_x, low_y, low_z, high_x, high_y, high_z : (capacity,) float32 arrays
-        Their boxes, relative and scaled.
-    x, y, z : (capacity * LEAF_SIZE,) float32 arrays
-        Their points, relative and scaled.
+    boxes : six (capacity,) float32 arrays
+        Lowest x, y, z and highest x, y, z of each, relative and scaled.
+    points : three (capacity * LEAF_SIZE,) float32 arrays
+        x, y and z of their points, relative and scaled.
     near : (capacity,) uint32 array
         Which of the leaves are near the query.
     distance : (capacity * LEAF_SIZE,) float32 array
         Squared distances of the points of these from the query.
-    stack, stack_gap
-        Room to walk the tree.
+    walk : Walk
     """
 
     leaf: NDArray[np.int64]
     node: NDArray[np.int64]
-    low_x: NDArray[np.float32]
-    low_y: NDArray[np.float32]
-    low_z: NDArray[np.float32]
-    high_x: NDArray[np.float32]
-    high_y: NDArray[np.float32]
-    high_z: NDArray[np.float32]
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    z: NDArray[np.float32]
+    boxes: tuple[_Singles, _Singles, _Singles, _Singles, _Singles, _Singles]
+    points: tuple[_Singles, _Singles, _Singles]
     near: NDArray[np.uint32]
     distance: NDArray[np.float32]
-    stack: NDArray[np.int64]
-    stack_gap: NDArray[np.float64]
+    walk: Walk
 
 
 def make_candidates(k: int) -> Candidates:
@@ -76,19 +71,11 @@ def make_candidates(k: int) -> Candidates:
     return Candidates(
         leaf=np.empty(size, np.int64),
         node=np.empty(size, np.int64),
-        low_x=low_x,
-        low_y=low_y,
-        low_z=low_z,
-        high_x=high_x,
-        high_y=high_y,
-        high_z=high_z,
-        x=x,
-        y=y,
-        z=z,
+        boxes=(low_x, low_y, low_z, high_x, high_y, high_z),
+        points=(x, y, z),
         near=np.empty(size + LANES, np.uint32),
         distance=distance,
-        stack=make_stack(),
-        stack_gap=np.empty(64),
+        walk=make_walk(),
     )
 
 
@@ -119,25 +106,16 @@ def gather_candidates(
         How many there are; -1 where they do not fit.
     """
     count = 0
-    stack = candidates.stack
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(tree.rows.size)
-    depth = 1
+    walk = candidates.walk
+    depth = begin_walk(walk, tree)
     while depth > 0:
         depth -= 1
-        node, first, leaves = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+        node, first, leaves = walk.nodes[depth, 0], walk.nodes[depth, 1], walk.nodes[depth, 2]
         if box_to_box(tree.boxes, node, low, high) > squared_bound:
             continue
         one_place = leaves > 1 and is_one_place(tree.boxes, node)
         if leaves > 1 and not one_place:
-            left = (leaves + 1) // 2
-            stack[depth, 0], stack[depth, 1], stack[depth, 2] = (
-                node + 2 * left,
-                first + left,
-                leaves - left,
-            )
-            depth += 1
-            stack[depth, 0], stack[depth, 1], stack[depth, 2] = node + 1, first, left
-            depth += 1
+            depth = add_halves(walk, depth, node, first, leaves)
             continue
         # All in one place are in the order of their rows: the first k are the nearest.
         wanted = min(leaves, leaf_count(k)) if one_place else 1
@@ -158,6 +136,8 @@ def copy_candidates(tree: Tree, middle: Place, count: int, candidates: Candidate
     """
     x, y, z = middle
     boxes = tree.boxes
+    low_x, low_y, low_z, high_x, high_y, high_z = candidates.boxes
+    points_x, points_y, points_z = candidates.points
     extent = 0.0
     for i in range(np.uint64(count)):
         node = np.uint64(candidates.node[i])
@@ -166,16 +146,16 @@ def copy_candidates(tree: Tree, middle: Place, count: int, candidates: Candidate
     scale = min(1.0 / extent, _LARGEST_SCALE)
     for i in range(np.uint64(count)):
         node = np.uint64(candidates.node[i])
-        candidates.low_x[i] = np.float32((boxes[node, 0] - x) * scale)
-        candidates.low_y[i] = np.float32((boxes[node, 1] - y) * scale)
-        candidates.low_z[i] = np.float32((boxes[node, 2] - z) * scale)
-        candidates.high_x[i] = np.float32((boxes[node, 3] - x) * scale)
-        candidates.high_y[i] = np.float32((boxes[node, 4] - y) * scale)
-        candidates.high_z[i] = np.float32((boxes[node, 5] - z) * scale)
+        low_x[i] = np.float32((boxes[node, 0] - x) * scale)
+        low_y[i] = np.float32((boxes[node, 1] - y) * scale)
+        low_z[i] = np.float32((boxes[node, 2] - z) * scale)
+        high_x[i] = np.float32((boxes[node, 3] - x) * scale)
+        high_y[i] = np.float32((boxes[node, 4] - y) * scale)
+        high_z[i] = np.float32((boxes[node, 5] - z) * scale)
         first = np.uint64(candidates.leaf[i]) * np.uint64(LEAF_SIZE)
         out = i * np.uint64(LEAF_SIZE)
         for j in range(np.uint64(LEAF_SIZE)):
-            candidates.x[out + j] = np.float32((tree.x[first + j] - x) * scale)
-            candidates.y[out + j] = np.float32((tree.y[first + j] - y) * scale)
-            candidates.z[out + j] = np.float32((tree.z[first + j] - z) * scale)
+            points_x[out + j] = np.float32((tree.x[first + j] - x) * scale)
+            points_y[out + j] = np.float32((tree.y[first + j] - y) * scale)
+            points_z[out + j] = np.float32((tree.z[first + j] - z) * scale)
     return scale

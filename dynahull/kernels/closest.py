@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from dynahull.kernels.tree import (
     LEAF_SIZE,
     Tree,
-    box_to_point,
+    Walk,
+    add_nearer_half_last,
+    begin_walk,
     is_one_place,
-    leaf_count,
     point_distance,
 )
 
@@ -27,8 +28,7 @@ def find(
     places: NDArray[np.float64],
     first: int,
     end: int,
-    stack: NDArray[np.int64],
-    gap: NDArray[np.float64],
+    walk: Walk,
     squared: NDArray[np.float64],
     rank: NDArray[np.int64],
 ) -> None:
@@ -39,10 +39,7 @@ def find(
     tree : Tree
         Its row numbers are the points' ranks.
     places : (m, 3) float64 array
-    first, end : int
-        The places to look from.
-    stack : (levels, 3) int64 array
-        A `make_stack`; and `gap`, (levels,) float64, beside it.
+        Those from `first` to `end` look.
     squared : (m,) float64 array
         Squared distance of the nearest point so far, or within which one is looked for.
     rank : (m,) int64 array
@@ -51,26 +48,15 @@ def find(
     for place in range(first, end):
         x, y, z = places[place, 0], places[place, 1], places[place, 2]
         nearest, least = squared[place], rank[place]
-        stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, leaf_count(tree.rows.size)
-        gap[0] = box_to_point(tree.boxes, 0, x, y, z)
-        depth = 1
+        depth = begin_walk(walk, tree)
         while depth > 0:
             depth -= 1
-            if gap[depth] > nearest:
+            if walk.gap[depth] > nearest:
                 continue
-            node, begin, leaves = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            node, begin, leaves = walk.nodes[depth, 0], walk.nodes[depth, 1], walk.nodes[depth, 2]
             one_place = leaves > 1 and is_one_place(tree.boxes, node)
             if leaves > 1 and not one_place:
-                left = (leaves + 1) // 2
-                near_gap = box_to_point(tree.boxes, node + 1, x, y, z)
-                far_gap = box_to_point(tree.boxes, node + 2 * left, x, y, z)
-                far_first = 0 if near_gap > far_gap else 1
-                right_at, left_at = depth + 1 - far_first, depth + far_first
-                stack[right_at, 0], stack[right_at, 1] = node + 2 * left, begin + left
-                stack[right_at, 2], gap[right_at] = leaves - left, far_gap
-                stack[left_at, 0], stack[left_at, 1] = node + 1, begin
-                stack[left_at, 2], gap[left_at] = left, near_gap
-                depth += 2
+                depth = add_nearer_half_last(walk, depth, tree, node, begin, leaves, (x, y, z))
                 continue
             start = begin * LEAF_SIZE
             # All in one place are in the order of their ranks.

@@ -4,23 +4,23 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from dynahull.compilation import compiling, numba_cache
-from dynahull.kernels import closest, solve
-from dynahull.kernels.build import make_tree_workspace
+from dynahull.kernels import build, closest, solve
 from dynahull.kernels.compiled import OPTIONS
 from dynahull.kernels.solve import Results, make_workspace
-from dynahull.kernels.tree import make_stack, make_tree
+from dynahull.kernels.tree import Tree, make_tree, make_walk
 
 _ONE_AT_A_TIME = Lock()
 
 
 class Kernels(NamedTuple):
-    """The compiled functions; see `dynahull.kernels.solve` and `.closest` for their parameters."""
+    """The compiled functions; see the modules of their names, and `closest`, for parameters."""
 
     build: Callable[..., None]
     solve: Callable[..., None]
@@ -33,6 +33,13 @@ def kernels() -> Kernels:
         return _kernels()
 
 
+def grown_tree(points: NDArray[np.float64], rows: NDArray[np.int64]) -> Tree:
+    """Copy points, (n, 3), into kd-tree order, and measure the boxes."""
+    tree, rows = make_tree(points), np.require(rows, np.int64, ["C", "W"])
+    kernels().build(tree, rows, make_walk())
+    return tree
+
+
 @lru_cache(maxsize=1)
 def _kernels() -> Kernels:
     with (
@@ -43,23 +50,15 @@ def _kernels() -> Kernels:
 
 
 def _compile(cached: bool) -> Kernels:
-    tree, rows, tree_workspace, workspace = (
-        make_tree(np.zeros((4, 3))),
-        np.zeros(4, np.int64),
-        make_tree_workspace(),
-        make_workspace(4),
-    )
-    results = Results(
-        np.zeros(4), np.zeros(4), np.zeros((4, 4), np.int64), np.zeros((4, 5), np.float32)
-    )
-    queries = np.zeros(4, np.bool_)
-    build_types = [numba.typeof(value) for value in (tree, rows, tree_workspace)]
-    solve_types = [numba.typeof(value) for value in (tree, 4, 0, 1, queries, workspace, results)]
-    places = np.zeros((1, 3)), 0, 1, make_stack(), np.empty(64), np.zeros(1), rows
-    find_types = [numba.typeof(value) for value in (tree, *places)]
-    options = OPTIONS | {"cache": cached}
+    tree, rows, walk = make_tree(np.zeros((4, 3))), np.zeros(4, np.int64), make_walk()
+    queries, workspace, results = np.zeros(4, np.bool_), make_workspace(4), Results(np.zeros(4))
+
+    def compile_for(function: Callable[..., None], *arguments: Any) -> Any:
+        signature = numba.void(*map(numba.typeof, arguments))
+        return numba.njit(signature, **OPTIONS, cache=cached)(function)
+
     return Kernels(
-        numba.njit(numba.void(*build_types), **options)(solve.build),
-        numba.njit(numba.void(*solve_types), **options)(solve.solve),
-        numba.njit(numba.void(*find_types), **options)(closest.find),
+        compile_for(build.build, tree, rows, walk),
+        compile_for(solve.solve, tree, 4, 0, 1, queries, workspace, results),
+        compile_for(closest.find, tree, np.zeros((1, 3)), 0, 1, walk, np.zeros(1), rows),
     )

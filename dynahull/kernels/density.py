@@ -1,7 +1,7 @@
 """The densities of a cluster, from the compiled kernels."""
 
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from dynahull.density import SPREAD_COLUMNS
 from dynahull.errors import InvalidParametersError, InvalidPointsError
-from dynahull.kernels.build import make_tree_workspace
-from dynahull.kernels.compilation import kernels
-from dynahull.kernels.exact import exact_hull_volume
+from dynahull.kernels.compilation import grown_tree, kernels
 from dynahull.kernels.solve import Results, Workspace, make_workspace
-from dynahull.kernels.tree import LEAF_SIZE, make_tree
+from dynahull.kernels.tree import LEAF_SIZE
 from dynahull.kernels.vectors import INDEX_BITS
+from dynahull.reference import reference_densities
 
 _LEAVES_AT_A_TIME = 128
 _FEWEST = 4
@@ -92,8 +91,13 @@ def hull_densities(
     density = np.full(len(points), np.nan)
     columns = SPREAD_COLUMNS if spread else 0
     spreads = np.full((len(points), columns), np.nan, np.float32)
-    squared_reach = _solve(points, rows, k, queries, threads, on_progress, density, None, spreads)
-    return HullDensities(density, squared_reach, spreads)
+    results = Results(np.full(len(points), np.nan), density, spread=spreads)
+    wanted = np.ones(len(points), np.bool_) if queries is None else np.ascontiguousarray(queries)
+    _solve(points, rows, k, results, wanted, threads, on_progress)
+    # What no wrapping could be certified for, next to nothing, the plain version measures.
+    left = np.flatnonzero(wanted & np.isnan(density))
+    density[left] = reference_densities(points, rows, k, centres=points[left])
+    return HullDensities(density, results.squared_reach, spreads)
 
 
 def nearest_rows(
@@ -108,9 +112,10 @@ def nearest_rows(
     (n, min(k, n)) int64 array
         Ordered by (squared distance, row number).
     """
-    neighbours = np.empty((len(points), min(k, len(points))), np.int64)
-    _solve(points, rows, k, None, threads, None, None, neighbours)
-    return neighbours
+    count = len(points)
+    results = Results(np.empty(count), neighbours=np.empty((count, min(k, count)), np.int64))
+    _solve(points, rows, k, results, np.ones(count, np.bool_), threads)
+    return results.neighbours
 
 
 def squared_reaches(
@@ -120,37 +125,26 @@ def squared_reaches(
 
     Parameters and errors are those of `hull_densities`.
     """
-    return _solve(points, rows, k, None, threads, None, None, None)
+    results = Results(np.empty(len(points)))
+    _solve(points, rows, k, results, np.ones(len(points), np.bool_), threads)
+    return results.squared_reach
 
 
 def _solve(
     points: NDArray[np.float64],
     rows: NDArray[np.int64],
     k: int,
-    queries: NDArray[np.bool_] | None,
+    results: Results,
+    wanted: NDArray[np.bool_],
     threads: int,
-    on_progress: Callable[[int], None] | None,
-    density: NDArray[np.float64] | None,
-    neighbours: NDArray[np.int64] | None,
-    spread: NDArray[np.float32] | None = None,
-) -> NDArray[np.float64]:
-    """Fill in what is given, and return the squared reaches."""
-    _check(points, rows, k, queries, threads)
+    on_progress: Callable[[int], None] | None = None,
+) -> None:
+    """Fill in what there is room for, where it is wanted, (n,)."""
+    _check(points, rows, k, wanted, threads)
     count = len(points)
     k = min(k, count)
     leaves = -(-count // LEAF_SIZE)
-    squared_reach = np.full(count, np.nan)
-    compiled = kernels()
-    tree = make_tree(points)
-    compiled.build(tree, np.require(rows, np.int64, ["C", "W"]), make_tree_workspace())
-    wanted = np.ones(count, np.bool_) if queries is None else np.ascontiguousarray(queries)
-    results = Results(
-        np.empty(0) if density is None else density,
-        squared_reach,
-        np.empty((0, 0), np.int64) if neighbours is None else neighbours,
-        np.empty((0, 0), np.float32) if spread is None else spread,
-    )
-
+    tree, compiled = grown_tree(points, rows), kernels()
     workspaces: list[Workspace] = []  # not in use
 
     def solve_leaves(first: int) -> int:
@@ -161,16 +155,13 @@ def _solve(
         return min(end * LEAF_SIZE, count) - first * LEAF_SIZE
 
     _share_out(solve_leaves, range(0, leaves, _LEAVES_AT_A_TIME), threads, on_progress)
-    if density is not None:
-        _settle_exactly(points, rows, k, wanted, density)
-    return squared_reach
 
 
 def _check(
     points: NDArray[np.float64],
     rows: NDArray[np.int64],
     k: int,
-    queries: NDArray[np.bool_] | None,
+    queries: NDArray[np.bool_],
     threads: int,
 ) -> None:
     if points.ndim != 2 or points.shape[1] != 3:
@@ -185,7 +176,7 @@ def _check(
         raise InvalidPointsError(f"points: expected finite coordinates up to {_LARGEST:g}")
     if rows.shape != (count,):
         raise InvalidPointsError(f"rows: expected one for each point, found shape {rows.shape}")
-    if queries is not None and queries.shape != (count,):
+    if queries.shape != (count,):
         raise InvalidPointsError(f"queries: expected one a point, found shape {queries.shape}")
     if k < _FEWEST:
         raise InvalidParametersError(f"k: expected at least {_FEWEST} neighbours, found {k}")
@@ -208,34 +199,9 @@ def _share_out(
             tell(work(part))
         return
     with ThreadPoolExecutor(threads) as pool:
-        waiting = iter(parts)
-        running: set[Future[int]] = set()
         try:
-            for part in waiting:
-                running.add(pool.submit(work, part))
-                if len(running) < 2 * threads:
-                    continue
-                finished, running = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    tell(future.result())
-            for future in running:
-                tell(future.result())
+            for done in pool.map(work, parts):
+                tell(done)
         except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
             raise
-
-
-def _settle_exactly(
-    points: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    k: int,
-    wanted: NDArray[np.bool_],
-    density: NDArray[np.float64],
-) -> None:
-    """Compute in exact arithmetic what no wrapping could be certified for: next to nothing."""
-    for at in np.flatnonzero(wanted & np.isnan(density)):
-        difference = points - points[at]
-        squared = (difference[:, 0] ** 2 + difference[:, 1] ** 2) + difference[:, 2] ** 2
-        neighbours = points[np.lexsort((rows, squared))[:k]]
-        volume = exact_hull_volume(neighbours)
-        density[at] = k / volume if volume > 0 else np.inf

@@ -34,56 +34,42 @@ SHAKES = 8
 
 _SHAKE_STRIDE = 29
 
+_Axes = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
 
 class Neighbourhood(NamedTuple):
     """The points whose hull is wanted, and their place in the frame and on the grid.
 
     Attributes
     ----------
-    dx, dy, dz : (capacity,) float64 arrays
-        Coordinates relative to the query.
-    length, width, thickness : (capacity,) float64 arrays
-        Coordinates in the frame, in [-1, 1].
-    x, y, z : (capacity,) float64 arrays
-        The coordinates on the grid, shaken: multiples of `STEP`. After the last point comes
-        NaN in `x`.
-    rough_x, rough_y, rough_z : (capacity,) float32 arrays
-        The same, rounded.
+    offset : three (capacity,) float64 arrays
+        x, y and z relative to the query.
+    frame : three (capacity,) float64 arrays
+        Along length, width and thickness of the frame, in [-1, 1].
+    grid : three (capacity,) float64 arrays
+        The same on the grid, shaken: multiples of `STEP`. After the last point the first holds NaN.
+    rough : three (capacity,) float32 arrays
+        Those on the grid, rounded.
     shake : (3, capacity + SHAKES * stride) float64 array
         Pseudo-random multiples of `STEP`, the same for ever.
     """
 
-    dx: NDArray[np.float64]
-    dy: NDArray[np.float64]
-    dz: NDArray[np.float64]
-    length: NDArray[np.float64]
-    width: NDArray[np.float64]
-    thickness: NDArray[np.float64]
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
-    rough_x: NDArray[np.float32]
-    rough_y: NDArray[np.float32]
-    rough_z: NDArray[np.float32]
+    offset: _Axes
+    frame: _Axes
+    grid: _Axes
+    rough: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
     shake: NDArray[np.float64]
 
 
 def make_neighbourhood(most: int) -> Neighbourhood:
     """Make room for at most so many points."""
     size = padded(most)
+    single = np.float32
     return Neighbourhood(
-        dx=aligned(size),
-        dy=aligned(size),
-        dz=aligned(size),
-        length=aligned(size),
-        width=aligned(size),
-        thickness=aligned(size),
-        x=aligned(size),
-        y=aligned(size),
-        z=aligned(size),
-        rough_x=aligned(size, np.float32),
-        rough_y=aligned(size, np.float32),
-        rough_z=aligned(size, np.float32),
+        offset=(aligned(size), aligned(size), aligned(size)),
+        frame=(aligned(size), aligned(size), aligned(size)),
+        grid=(aligned(size), aligned(size), aligned(size)),
+        rough=(aligned(size, single), aligned(size, single), aligned(size, single)),
         shake=_shakes(size),
     )
 
@@ -108,9 +94,7 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     Parameters
     ----------
     points : Neighbourhood
-        `dx`, `dy` and `dz` given; `length`, `width` and `thickness` set.
-    count : int
-        Number of points.
+        `offset` given; `frame` set.
 
     Returns
     -------
@@ -119,23 +103,23 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
         thickness is at most `FLATNESS` times its length.
     """
     size = np.uint64(count)
-    dx, dy, dz = points.dx, points.dy, points.dz
+    dx, dy, dz = points.offset
+    length, width, thickness = points.frame
     for i in range(size):
-        points.length[i] = (dx[i] * dx[i] + dy[i] * dy[i]) + dz[i] * dz[i]
-    last = place_of_largest(points.length, size)
+        length[i] = (dx[i] * dx[i] + dy[i] * dy[i]) + dz[i] * dz[i]
+    last = place_of_largest(length, size)
     extent_1 = np.sqrt(dx[last] * dx[last] + dy[last] * dy[last] + dz[last] * dz[last])
     if extent_1 == 0.0:
         return 0.0
     ax, ay, az = dx[last] / extent_1, dy[last] / extent_1, dz[last] / extent_1
     for i in range(size):
         along = dx[i] * ax + dy[i] * ay + dz[i] * az
-        points.length[i] = along
+        length[i] = along
         rx, ry, rz = dx[i] - along * ax, dy[i] - along * ay, dz[i] - along * az
-        points.width[i] = rx * rx + ry * ry + rz * rz
-    side = place_of_largest(points.width, size)
-    rx = dx[side] - points.length[side] * ax
-    ry = dy[side] - points.length[side] * ay
-    rz = dz[side] - points.length[side] * az
+        width[i] = rx * rx + ry * ry + rz * rz
+    side = place_of_largest(width, size)
+    along = length[side]
+    rx, ry, rz = dx[side] - along * ax, dy[side] - along * ay, dz[side] - along * az
     # What rounding left of the first axis would tilt the second.
     left = rx * ax + ry * ay + rz * az
     rx, ry, rz = rx - left * ax, ry - left * ay, rz - left * az
@@ -145,16 +129,16 @@ def enter_frame(points: Neighbourhood, count: int) -> float:
     bx, by, bz = rx / extent_2, ry / extent_2, rz / extent_2
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     for i in range(size):
-        points.width[i] = dx[i] * bx + dy[i] * by + dz[i] * bz
-        points.thickness[i] = dx[i] * cx + dy[i] * cy + dz[i] * cz
-    lowest, highest = extremes(points.thickness, np.uint64(0), size)
+        width[i] = dx[i] * bx + dy[i] * by + dz[i] * bz
+        thickness[i] = dx[i] * cx + dy[i] * cy + dz[i] * cz
+    lowest, highest = extremes(thickness, np.uint64(0), size)
     extent_3 = max(highest, -lowest)
     if extent_3 <= FLATNESS * extent_1:
         return 0.0
     for i in range(size):
-        points.length[i] /= extent_1
-        points.width[i] /= extent_2
-        points.thickness[i] /= extent_3
+        length[i] /= extent_1
+        width[i] /= extent_2
+        thickness[i] /= extent_3
     return extent_1 * extent_2 * extent_3
 
 
@@ -172,14 +156,15 @@ def place_of_largest(values: NDArray[np.float64], size: np.uint64) -> np.uint64:
 def set_on_grid(points: Neighbourhood, count: int, attempt: int) -> None:
     """Round the frame coordinates to the grid, and shake them."""
     shift = np.uint64(attempt * _SHAKE_STRIDE)
+    length, width, thickness = points.frame
+    x, y, z = points.grid
+    rough_x, rough_y, rough_z = points.rough
     for i in range(np.uint64(count)):
-        points.x[i] = np.rint(points.length[i] / STEP) * STEP + points.shake[0, shift + i]
-        points.y[i] = np.rint(points.width[i] / STEP) * STEP + points.shake[1, shift + i]
-        points.z[i] = np.rint(points.thickness[i] / STEP) * STEP + points.shake[2, shift + i]
+        x[i] = np.rint(length[i] / STEP) * STEP + points.shake[0, shift + i]
+        y[i] = np.rint(width[i] / STEP) * STEP + points.shake[1, shift + i]
+        z[i] = np.rint(thickness[i] / STEP) * STEP + points.shake[2, shift + i]
     for i in range(np.uint64(count)):
-        points.rough_x[i] = np.float32(points.x[i])
-        points.rough_y[i] = np.float32(points.y[i])
-        points.rough_z[i] = np.float32(points.z[i])
-    for i in range(np.uint64(count), np.uint64(points.x.size)):
-        points.x[i] = np.nan
-        points.rough_x[i] = np.nan
+        rough_x[i], rough_y[i], rough_z[i] = np.float32(x[i]), np.float32(y[i]), np.float32(z[i])
+    for i in range(np.uint64(count), np.uint64(x.size)):
+        x[i] = np.nan
+        rough_x[i] = np.nan

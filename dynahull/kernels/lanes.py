@@ -92,6 +92,14 @@ class VectorLoop:
         """Return the address of an array's first element."""
         return self.context.make_array(self.array_type)(self.context, self.builder, array).data
 
+    def each_data(self, arrays: Any) -> list[Any]:
+        """Return the addresses of a tuple of arrays."""
+        return [self.data(array) for array in cgutils.unpack_tuple(self.builder, arrays)]
+
+    def each_same(self, numbers: Any) -> list[Lanes]:
+        """Put each number of a tuple into all lanes of a vector."""
+        return [self.same(number) for number in cgutils.unpack_tuple(self.builder, numbers)]
+
     def load(self, data: Any, index: Any) -> Lanes:
         """Read the vector at an index."""
         address = self.builder.bitcast(self.builder.gep(data, [index]), self.vector.as_pointer())
@@ -105,7 +113,9 @@ class VectorLoop:
         self.builder.store(lanes.value, address, align=self.array_type.dtype.bitwidth // 8)
 
     def same(self, value: Any) -> Lanes:
-        """Put one number into all lanes."""
+        """Put one number into all lanes, rounded to what they hold."""
+        if value.type != self.number:
+            value = self.builder.fptrunc(value, self.number)
         return Lanes(self.builder, self._spread(value, self.vector))
 
     def constant(self, value: float) -> Lanes:

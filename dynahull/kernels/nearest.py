@@ -7,14 +7,11 @@ from numpy.typing import NDArray
 
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.lanes import LANES, aligned, padded
-from dynahull.kernels.tree import LEAF_SIZE
-from dynahull.kernels.vectors import largest, rank_all
-
-_FEW = 64
+from dynahull.kernels.vectors import rank_all
 
 
 class Pool(NamedTuple):
-    """Points of which to keep the nearest; while being sought, a heap with the farthest on top.
+    """Points of which to keep the nearest: a heap with the farthest on top.
 
     Attributes
     ----------
@@ -22,19 +19,10 @@ class Pool(NamedTuple):
         Squared distances.
     at : (capacity,) uint32 array
         Positions in the tree.
-    rank : (few,) uint64 array
-        How many are nearer, where there are few.
-    tied : (few,) uint64 array
-        Which of them are at the k-th distance.
-    tied_row : (few,) int64 array
-        Row numbers of these.
     """
 
     distance: NDArray[np.float64]
     at: NDArray[np.uint32]
-    rank: NDArray[np.uint64]
-    tied: NDArray[np.uint64]
-    tied_row: NDArray[np.int64]
 
 
 class Nearest(NamedTuple):
@@ -61,13 +49,7 @@ class Nearest(NamedTuple):
 
 def make_pool(size: int) -> Pool:
     """Make room for so many points."""
-    return Pool(
-        aligned(padded(size) + LEAF_SIZE),
-        np.empty(size + LANES, np.uint32),
-        aligned(_FEW, np.uint64),
-        aligned(_FEW, np.uint64),
-        aligned(_FEW, np.int64),
-    )
+    return Pool(np.empty(size), np.empty(size + LANES, np.uint32))
 
 
 def make_nearest(k: int) -> Nearest:
@@ -120,55 +102,16 @@ def _sift_down(
     pool.at[parent] = at
 
 
-@inlined
+@compiled
 def keep_nearest(pool: Pool, count: int, k: int, rows: NDArray[np.int64]) -> float:
     """Drop all but the k nearest of the first `count` points; return the k-th squared distance.
 
     Ties go to the smaller row number.
     """
-    if count > _FEW:
-        return _keep_by_heap(pool, count, k, rows)
-    rank_all(pool.distance, np.uint64(count), pool.rank)
-    kept = np.uint64(0)
-    for i in range(np.uint64(count)):
-        pool.distance[kept], pool.at[kept] = pool.distance[i], pool.at[i]
-        kept += np.uint64(pool.rank[i] < np.uint64(k))
-    farthest = largest(pool.distance, kept)
-    if kept > np.uint64(k):
-        _drop_tied(pool, kept, kept - np.uint64(k), farthest, rows)
-    return farthest
-
-
-@compiled
-def _keep_by_heap(pool: Pool, count: int, k: int, rows: NDArray[np.int64]) -> float:
     heapify(pool, k, rows)
     for i in range(k, count):
         offer(pool, k, pool.distance[i], pool.at[i], rows)
     return pool.distance[0]
-
-
-@inlined
-def _drop_tied(
-    pool: Pool, count: np.uint64, excess: np.uint64, farthest: float, rows: NDArray[np.int64]
-) -> None:
-    """Drop as many as are too many of the points at the farthest distance: the largest rows."""
-    tied = np.uint64(0)
-    for i in range(np.uint64(count)):
-        pool.tied[tied] = i
-        tied += np.uint64(pool.distance[i] == farthest)
-    for i in range(tied):
-        pool.tied_row[i] = rows[pool.at[pool.tied[i]]]
-    last = count
-    # From the back, so that what fills a gap is none of those still to be dropped.
-    for done in range(tied):
-        one = tied - done - np.uint64(1)
-        larger = np.uint64(0)
-        for other in range(tied):
-            larger += np.uint64(pool.tied_row[other] > pool.tied_row[one])
-        if larger < excess:
-            last -= np.uint64(1)
-            pool.distance[pool.tied[one]] = pool.distance[last]
-            pool.at[pool.tied[one]] = pool.at[last]
 
 
 @inlined

@@ -3,10 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.build import make_tree_workspace
 from dynahull.kernels.closest import NO_RANK
-from dynahull.kernels.compilation import kernels
-from dynahull.kernels.tree import make_stack, make_tree
+from dynahull.kernels.compilation import grown_tree, kernels
+from dynahull.kernels.tree import make_walk
 from dynahull.threads import over_ranges
 
 _PLACES_AT_A_TIME = 20_000
@@ -50,13 +49,9 @@ class NearestSearch:
         places, squared, rank = self.places[asking], self.squared[asking], self.rank[asking]
         if not len(points) or not len(places):
             return
-        compiled = kernels()
-        tree = make_tree(points)
-        compiled.build(tree, np.require(ranks, np.int64, ["C", "W"]), make_tree_workspace())
+        tree, find = grown_tree(points, ranks), kernels().find
         over_ranges(
-            lambda first, end: compiled.find(
-                tree, places, first, end, make_stack(), np.empty(64), squared, rank
-            ),
+            lambda first, end: find(tree, places, first, end, make_walk(), squared, rank),
             [*range(0, len(places), _PLACES_AT_A_TIME), len(places)],
             self._threads,
         )

@@ -18,12 +18,38 @@ from numba.extending import intrinsic
 
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.frame import STEP, Neighbourhood
+from dynahull.kernels.tree import Place
 
 UNCERTAIN = 2.0**-45
 """Largest error of the determinant in doubles."""
 
 ROUGHLY_UNCERTAIN = 2.0**-19
 """Largest error of the determinant in singles, in shares of the normal's largest component."""
+
+
+@inlined
+def place_of(points: Neighbourhood, i: np.uint64) -> Place:
+    """Return the place of a point on the grid."""
+    x, y, z = points.grid
+    return x[i], y[i], z[i]
+
+
+@inlined
+def minus(p: Place, q: Place) -> Place:
+    """Return p - q."""
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+@inlined
+def dot(p: Place, q: Place) -> float:
+    """Return the scalar product."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@inlined
+def cross(p: Place, q: Place) -> Place:
+    """Return the vector product."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
 @compiled
@@ -33,27 +59,20 @@ def is_above_all_others(
     a: np.uint64,
     b: np.uint64,
     c: np.uint64,
-    normal_x: float,
-    normal_y: float,
-    normal_z: float,
+    normal: Place,
 ) -> bool:
     """Tell whether all other points lie strictly below the plane of three of them.
 
     Parameters
     ----------
-    points : Neighbourhood
-        Set on the grid.
-    count : int
-        Number of points.
     a, b, c : uint64
         The three, anticlockwise seen from above.
-    normal_x, normal_y, normal_z : float
-        Normal of the plane, (b - a) x (c - a) in doubles.
+    normal : tuple of float
+        Of the plane, (b - a) x (c - a) in doubles.
     """
-    x, y, z = points.x, points.y, points.z
-    height = normal_x * x[a] + normal_y * y[a] + normal_z * z[a]
+    height = dot(normal, place_of(points, a))
     for i in range(np.uint64(count)):
-        depth = height - (normal_x * x[i] + normal_y * y[i] + normal_z * z[i])
+        depth = height - dot(normal, place_of(points, i))
         if depth > UNCERTAIN or i in (a, b, c):
             continue
         if depth < -UNCERTAIN or exact_side(points, a, b, c, i) >= 0:
@@ -120,20 +139,14 @@ def exact_side(
 
     Exact for points within `UNCERTAIN` of it in doubles, which is for the caller to know.
     """
-    x, y, z = points.x, points.y, points.z
-    return _determinant_sign(
-        _steps(x[b] - x[a]),
-        _steps(y[b] - y[a]),
-        _steps(z[b] - z[a]),
-        _steps(x[c] - x[a]),
-        _steps(y[c] - y[a]),
-        _steps(z[c] - z[a]),
-        _steps(x[i] - x[a]),
-        _steps(y[i] - y[a]),
-        _steps(z[i] - z[a]),
-    )
+    origin = place_of(points, a)
+    bx, by, bz = _steps(minus(place_of(points, b), origin))
+    cx, cy, cz = _steps(minus(place_of(points, c), origin))
+    dx, dy, dz = _steps(minus(place_of(points, i), origin))
+    return _determinant_sign(bx, by, bz, cx, cy, cz, dx, dy, dz)
 
 
 @inlined
-def _steps(difference: float) -> np.int64:
-    return np.int64(difference / STEP)
+def _steps(difference: Place) -> tuple[np.int64, np.int64, np.int64]:
+    x, y, z = difference
+    return np.int64(x / STEP), np.int64(y / STEP), np.int64(z / STEP)

@@ -33,14 +33,7 @@ from dynahull.kernels.tree import LEAF_SIZE, Tree, point_distance
 
 @intrinsic
 def count_up_to(context: Any, values: Any, size: Any, limit: Any) -> Any:
-    """Count the values up to and including a limit, among the first ones.
-
-    Parameters
-    ----------
-    values : float array
-    size : uint64
-        How many, as many as fill whole vectors.
-    """
+    """Count the values up to and including a limit, among the first `size`: whole vectors."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
@@ -69,16 +62,13 @@ def boxes_within(
     ----------
     boxes : tuple of six float32 arrays
         Lowest x, y, z and highest x, y, z, as long as whole vectors.
-    size : uint64
-        How many.
     result : uint32 array
         Overwritten; a vector longer than the boxes.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0][0])
-        sides = [loop.data(array) for array in cgutils.unpack_tuple(builder, arguments[0])]
-        place = [loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[2])]
+        sides, place = loop.each_data(arguments[0]), loop.each_same(arguments[2])
         size, limit = arguments[1], loop.same(arguments[3])
         result = context.make_array(signature.args[4])(context, builder, arguments[4]).data
         nothing = loop.constant(0.0)
@@ -112,20 +102,15 @@ def measure_leaf(
     Parameters
     ----------
     axes : tuple of three float32 arrays
-        Coordinates.
-    first : uint64
-        Index of the first of the 32.
+        Coordinates; the 32 begin at `first`.
     distances : float32 array
-        Overwritten.
-    out : uint64
-        From where on.
+        Overwritten from `out` on.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[4])
-        data = [loop.data(array) for array in cgutils.unpack_tuple(builder, arguments[0])]
-        place = [loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[2])]
-        limits = [loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[3])]
+        data, place = loop.each_data(arguments[0]), loop.each_same(arguments[2])
+        limits = loop.each_same(arguments[3])
         distances = loop.data(arguments[4])
         counts = [INDEX(0), INDEX(0)]
         for begin in range(0, 32, loop.lanes):
@@ -159,27 +144,18 @@ def share_out(
     Parameters
     ----------
     distances : float32 array
-    begin : uint64
-        Index of the first of the 32.
+        Those of the 32 begin at `begin`; their positions at `first`.
     limits : tuple of two floats
         Those up to the first go to the first list, others up to the second to the second.
-    first : uint64
-        Position of the first point; the others follow.
     lists : tuple of two uint32 arrays
-        A vector longer than what they are to hold.
-    filled : tuple of two uint64
-        How much of them is filled.
-
-    Returns
-    -------
-    tuple of two uint64
-        How much is filled now.
+        A vector longer than what they are to hold; they are `filled` up to two indices, and
+        returned is up to which they are now.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         loop = VectorLoop(context, builder, signature.args[0])
         distances, begin, first = loop.data(arguments[0]), arguments[1], arguments[3]
-        low, high = (loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[2]))
+        low, high = loop.each_same(arguments[2])
         lists = [
             context.make_array(kind)(context, builder, array).data
             for kind, array in zip(
@@ -224,22 +200,16 @@ def search_list(
 
     Parameters
     ----------
-    query : int
-        Position in the tree.
+    query, middle : int
+        Positions in the tree: of the query, and of the point that candidates are relative to.
     guess : float
         Squared distance at which to begin counting.
     squared_bound : float
         Squared distance within which k candidates are sure to lie.
-    middle : int
-        Position of the point that the candidates are relative to.
     scale : float
-        Their scale.
-    count : int
-        Number of candidate leaves.
+        Of the candidates, `count` leaves.
     nearest : Nearest
         `at` is overwritten, in no order.
-    pool : Pool
-        Overwritten.
     """
     x, y, z = tree.x[query], tree.y[query], tree.z[query]
     place = (
@@ -254,12 +224,10 @@ def search_list(
     limit += _allowance(limit)
     guessed = np.float32(guess * scale * scale)
     low, high = _FEAR * guessed, min(_HOPE * guessed, limit)
-    leaves = _select_leaves(candidates, count, place, high + _allowance(high))
-    low_count, high_count = _measure_leaves(candidates, leaves, place, low, high)
+    leaves, low_count, high_count = _measure_within(candidates, count, place, low, high)
     if high_count < k:
         low, high = high, limit
-        leaves = _select_leaves(candidates, count, place, high + _allowance(high))
-        low_count, high_count = _measure_leaves(candidates, leaves, place, low, high)
+        leaves, low_count, high_count = _measure_within(candidates, count, place, low, high)
     if low_count >= k:
         low, low_count, high, high_count = np.float32(0.0), 0, low, low_count
     size = leaves * np.uint64(LEAF_SIZE)
@@ -292,37 +260,23 @@ def _allowance(squared_distance: np.float32) -> np.float32:
 
 
 @inlined
-def _select_leaves(
+def _measure_within(
     candidates: Candidates,
     count: int,
     place: tuple[np.float32, np.float32, np.float32],
-    limit: np.float32,
-) -> np.uint64:
-    """List the leaves within a distance of a query; return how many."""
-    boxes = (
-        candidates.low_x,
-        candidates.low_y,
-        candidates.low_z,
-        candidates.high_x,
-        candidates.high_y,
-        candidates.high_z,
-    )
-    return boxes_within(boxes, np.uint64(count), place, limit, candidates.near)
-
-
-@inlined
-def _measure_leaves(
-    candidates: Candidates,
-    leaves: np.uint64,
-    place: tuple[np.float32, np.float32, np.float32],
     low: np.float32,
     high: np.float32,
-) -> tuple[int, int]:
-    """Measure the points of the listed leaves; count those within two distances."""
+) -> tuple[np.uint64, int, int]:
+    """Measure the points of the leaves within the larger of two distances of a query.
+
+    Returns how many leaves these are, and how many of their points are within each distance.
+    """
+    limit = high + _allowance(high)
+    leaves = boxes_within(candidates.boxes, np.uint64(count), place, limit, candidates.near)
     low_count = high_count = 0
     for i in range(leaves):
         within_low, within_high = measure_leaf(
-            (candidates.x, candidates.y, candidates.z),
+            candidates.points,
             np.uint64(candidates.near[i]) * np.uint64(LEAF_SIZE),
             place,
             (low, high),
@@ -331,7 +285,7 @@ def _measure_leaves(
         )
         low_count += within_low
         high_count += within_high
-    return low_count, high_count
+    return leaves, low_count, high_count
 
 
 @inlined

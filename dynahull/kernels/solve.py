@@ -1,6 +1,7 @@
 """From points to densities without ever holding all neighbours: leaf by leaf, query by query.
 
-These two functions, and that of `closest`, are compiled ahead; all else is inlined into them.
+`solve`, and the functions of `build` and `closest`, are compiled ahead; all else is inlined into
+them.
 """
 
 from typing import NamedTuple
@@ -8,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.build import TreeWorkspace, build_tree
 from dynahull.kernels.candidates import (
     Candidates,
     bound_from,
@@ -33,64 +33,12 @@ from dynahull.kernels.spread import measure_spread
 from dynahull.kernels.tree import (
     LEAF_SIZE,
     Tree,
-    box_to_point,
+    add_nearer_half_last,
+    begin_walk,
     is_one_place,
-    leaf_count,
     middle_of_leaf,
     point_distance,
 )
-
-
-@compiled
-def search_tree(
-    tree: Tree,
-    x: float,
-    y: float,
-    z: float,
-    k: int,
-    start: int,
-    candidates: Candidates,
-    pool: Pool,
-) -> int:
-    """Find the k nearest points of a query by walking the tree, nearer boxes first.
-
-    Begins with the points from position `start` on, which should be near. Returns k.
-    """
-    begin = max(0, min(start, tree.rows.size - k))
-    for i in range(k):
-        pool.distance[i] = point_distance(tree, begin + i, x, y, z)
-        pool.at[i] = begin + i
-    heapify(pool, k, tree.rows)
-    stack, gap = candidates.stack, candidates.stack_gap
-    stack[0, 0], stack[0, 1], stack[0, 2], gap[0] = 0, 0, leaf_count(tree.rows.size), 0.0
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        node, first, leaves = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-        if gap[depth] > pool.distance[0]:
-            continue
-        if leaves > 1 and not is_one_place(tree.boxes, node):
-            left = (leaves + 1) // 2
-            near_gap = box_to_point(tree.boxes, node + 1, x, y, z)
-            far_gap = box_to_point(tree.boxes, node + 2 * left, x, y, z)
-            far_first = 0 if near_gap > far_gap else 1
-            right_at, left_at = depth + 1 - far_first, depth + far_first
-            stack[right_at, 0], stack[right_at, 1] = node + 2 * left, first + left
-            stack[right_at, 2], gap[right_at] = leaves - left, far_gap
-            stack[left_at, 0], stack[left_at, 1] = node + 1, first
-            stack[left_at, 2], gap[left_at] = left, near_gap
-            depth += 2
-            continue
-        first_point = first * LEAF_SIZE
-        end = min((first + leaves) * LEAF_SIZE, tree.rows.size)
-        if leaves > 1:
-            end = min(end, first_point + k)
-        for i in range(first_point, end):
-            distance = point_distance(tree, i, x, y, z)
-            if distance <= pool.distance[0] and not begin <= i < begin + k:
-                offer(pool, k, distance, i, tree.rows)
-    return k
-
 
 _DIRECTION = (0.6180339887498949, 0.7548776662466927, 0.2192059139)
 """Hardly ever the same component for two places of a lattice that maps are quantised on."""
@@ -113,21 +61,21 @@ class Results(NamedTuple):
 
     Attributes
     ----------
+    squared_reach : (n,) float64 array
+        Squared distance of the k-th neighbour.
     density : (n,) or (0,) float64 array
         k / volume; infinite where flat, NaN where no wrapping was certified. Not computed where
         empty.
-    squared_reach : (n,) float64 array
-        Squared distance of the k-th neighbour.
     neighbours : (n, k) or (0, 0) int64 array
         The neighbours' row numbers, in order; not written where empty.
     spread : (n, SPREAD_COLUMNS) or (0, 0) float32 array
         See `dynahull.kernels.spread`; not written where empty.
     """
 
-    density: NDArray[np.float64]
     squared_reach: NDArray[np.float64]
-    neighbours: NDArray[np.int64]
-    spread: NDArray[np.float32]
+    density: NDArray[np.float64] = np.empty(0)
+    neighbours: NDArray[np.int64] = np.empty((0, 0), np.int64)
+    spread: NDArray[np.float32] = np.empty((0, 0), np.float32)
 
 
 def make_workspace(k: int) -> Workspace:
@@ -140,11 +88,6 @@ def make_workspace(k: int) -> Workspace:
         make_neighbourhood(k),
         make_surface(k),
     )
-
-
-def build(tree: Tree, rows: NDArray[np.int64], workspace: TreeWorkspace) -> None:
-    """Put points into kd-tree order, in place, and measure the boxes."""
-    build_tree(tree, rows, workspace)
 
 
 def solve(
@@ -160,12 +103,8 @@ def solve(
 
     Parameters
     ----------
-    tree : Tree
-        Grown.
     k : int
         Neighbours, at most the number of points.
-    first_leaf, end_leaf : int
-        Which leaves.
     queries : (n,) bool array
         Which points, in the order of the input.
     workspace : Workspace
@@ -253,16 +192,39 @@ def _bound_around(tree: Tree, middle: int, k: int) -> float:
 
 
 @compiled
-def _search_around(tree: Tree, i: int, k: int, workspace: Workspace) -> float:
+def _search_around(tree: Tree, query: int, k: int, workspace: Workspace) -> float:
     """Walk the tree for the k nearest points of a point; return the squared distance of the k-th.
 
-    The walk begins with the k points around it in the order of the tree.
+    The walk begins with the k points around it in the order of the tree, and goes on with nearer
+    boxes first.
     """
-    x, y, z = tree.x[i], tree.y[i], tree.z[i]
-    search_tree(tree, x, y, z, k, i - k // 2, workspace.candidates, workspace.pool)
+    walk, pool = workspace.candidates.walk, workspace.pool
+    x, y, z = tree.x[query], tree.y[query], tree.z[query]
+    begin = max(0, min(query - k // 2, tree.rows.size - k))
+    for i in range(k):
+        pool.distance[i] = point_distance(tree, begin + i, x, y, z)
+        pool.at[i] = begin + i
+    heapify(pool, k, tree.rows)
+    depth = begin_walk(walk, tree)
+    while depth > 0:
+        depth -= 1
+        node, first, leaves = walk.nodes[depth, 0], walk.nodes[depth, 1], walk.nodes[depth, 2]
+        if walk.gap[depth] > pool.distance[0]:
+            continue
+        if leaves > 1 and not is_one_place(tree.boxes, node):
+            depth = add_nearer_half_last(walk, depth, tree, node, first, leaves, (x, y, z))
+            continue
+        first_point = first * LEAF_SIZE
+        end = min((first + leaves) * LEAF_SIZE, tree.rows.size)
+        if leaves > 1:
+            end = min(end, first_point + k)
+        for i in range(first_point, end):
+            distance = point_distance(tree, i, x, y, z)
+            if distance <= pool.distance[0] and not begin <= i < begin + k:
+                offer(pool, k, distance, i, tree.rows)
     for j in range(np.uint64(k)):
-        workspace.nearest.at[j] = workspace.pool.at[j]
-    return workspace.pool.distance[0]
+        workspace.nearest.at[j] = pool.at[j]
+    return pool.distance[0]
 
 
 @compiled
@@ -315,13 +277,12 @@ def _gather_places(tree: Tree, query: int, k: int, nearest: Nearest, points: Nei
             (tree.x[near] - x) * _DIRECTION[0] + (tree.y[near] - y) * _DIRECTION[1]
         ) + (tree.z[near] - z) * _DIRECTION[2]
     sort_nearest(nearest, k, tree.rows)
+    dx, dy, dz = points.offset
     count = group = np.uint64(0)
     group_measure = np.inf
     for j in range(np.uint64(k)):
         near = np.uint64(nearest.at[j])
-        points.dx[count] = tree.x[near] - x
-        points.dy[count] = tree.y[near] - y
-        points.dz[count] = tree.z[near] - z
+        dx[count], dy[count], dz[count] = tree.x[near] - x, tree.y[near] - y, tree.z[near] - z
         if nearest.measure[j] != group_measure:
             group_measure, group = nearest.measure[j], count
         elif _is_among(points, group, count):
@@ -333,12 +294,9 @@ def _gather_places(tree: Tree, query: int, k: int, nearest: Nearest, points: Nei
 @inlined
 def _is_among(points: Neighbourhood, begin: np.uint64, last: np.uint64) -> bool:
     """Tell whether the last place is one of those before it."""
+    dx, dy, dz = points.offset
     for i in range(begin, last):
-        if (
-            points.dx[i] == points.dx[last]
-            and points.dy[i] == points.dy[last]
-            and points.dz[i] == points.dz[last]
-        ):
+        if dx[i] == dx[last] and dy[i] == dy[last] and dz[i] == dz[last]:
             return True
     return False
 

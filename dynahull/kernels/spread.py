@@ -20,23 +20,22 @@ def measure_spread(points: Neighbourhood, count: int, spread: NDArray[np.float32
     Parameters
     ----------
     points : Neighbourhood
-        `dx`, `dy` and `dz` given, each place once.
-    count : int
-        Number of places.
+        `offset` given, each of `count` places once.
     spread : (SPREAD_COLUMNS,) float32 array
         Overwritten by thickness, width and length (standard deviations along the principal axes,
         metres), |z| of the normal, and the distance from the query to the mean.
     """
     size = np.uint64(count)
+    x, y, z = points.offset
     mx = my = mz = 0.0
     for i in range(size):
-        mx += points.dx[i]
-        my += points.dy[i]
-        mz += points.dz[i]
+        mx += x[i]
+        my += y[i]
+        mz += z[i]
     mx, my, mz = mx / count, my / count, mz / count
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(size):
-        dx, dy, dz = points.dx[i] - mx, points.dy[i] - my, points.dz[i] - mz
+        dx, dy, dz = x[i] - mx, y[i] - my, z[i] - mz
         xx += dx * dx
         xy += dx * dy
         xz += dx * dz

@@ -18,13 +18,30 @@ from numpy.typing import NDArray
 from dynahull.kernels.compiled import compiled, inlined
 from dynahull.kernels.lanes import aligned
 
+Place = tuple[float, float, float]
+
 LEAF_SIZE = 32
 """Points in a leaf: four vectors of eight doubles."""
 
 
-def make_stack() -> NDArray[np.int64]:
-    """Make room to walk a tree: (node, first leaf, leaves) for each level and one more."""
-    return np.empty((64, 3), np.int64)
+class Walk(NamedTuple):
+    """Room to walk a tree: the nodes still to be looked at, the next one last.
+
+    Attributes
+    ----------
+    nodes : (64, 3) int64 array
+        Node, first leaf, number of leaves; a row for each level and one more.
+    gap : (64,) float64 array
+        Their squared distances from a place.
+    """
+
+    nodes: NDArray[np.int64]
+    gap: NDArray[np.float64]
+
+
+def make_walk() -> Walk:
+    """Make room to walk a tree."""
+    return Walk(np.empty((64, 3), np.int64), np.empty(64))
 
 
 class Tree(NamedTuple):
@@ -92,8 +109,8 @@ def box_to_point(boxes: NDArray[np.float64], node: int, x: float, y: float, z: f
 def box_to_box(
     boxes: NDArray[np.float64],
     node: int,
-    low: tuple[float, float, float],
-    high: tuple[float, float, float],
+    low: Place,
+    high: Place,
 ) -> float:
     """Return the squared distance of a node's box from another."""
     i = np.uint64(node)
@@ -111,6 +128,41 @@ def is_one_place(boxes: NDArray[np.float64], node: int) -> bool:
         and boxes[node, 1] == boxes[node, 4]
         and boxes[node, 2] == boxes[node, 5]
     )
+
+
+@inlined
+def begin_walk(walk: Walk, tree: Tree) -> int:
+    """Begin a walk with the root; return how many nodes are to be looked at."""
+    walk.nodes[0, 0], walk.nodes[0, 1], walk.nodes[0, 2] = 0, 0, leaf_count(tree.rows.size)
+    walk.gap[0] = 0.0
+    return 1
+
+
+@inlined
+def add_halves(walk: Walk, count: int, node: int, first: int, leaves: int) -> int:
+    """Add both halves of a node to those to be looked at, the left one next; return how many."""
+    nodes, left = walk.nodes, (leaves + 1) // 2
+    nodes[count, 0], nodes[count, 1], nodes[count, 2] = node + 2 * left, first + left, leaves - left
+    nodes[count + 1, 0], nodes[count + 1, 1], nodes[count + 1, 2] = node + 1, first, left
+    return count + 2
+
+
+@inlined
+def add_nearer_half_last(
+    walk: Walk, count: int, tree: Tree, node: int, first: int, leaves: int, place: Place
+) -> int:
+    """Add both halves of a node, the one nearer to a place next; return how many there are."""
+    nodes, gap, left = walk.nodes, walk.gap, (leaves + 1) // 2
+    x, y, z = place
+    left_gap = box_to_point(tree.boxes, node + 1, x, y, z)
+    right_gap = box_to_point(tree.boxes, node + 2 * left, x, y, z)
+    right_last = 1 if left_gap > right_gap else 0
+    right_at, left_at = count + right_last, count + 1 - right_last
+    nodes[right_at, 0], nodes[right_at, 1] = node + 2 * left, first + left
+    nodes[right_at, 2], gap[right_at] = leaves - left, right_gap
+    nodes[left_at, 0], nodes[left_at, 1] = node + 1, first
+    nodes[left_at, 2], gap[left_at] = left, left_gap
+    return count + 2
 
 
 @compiled

@@ -18,15 +18,13 @@ INDEX_BITS, ROUGH_INDEX_BITS = 14, 7
 
 
 @intrinsic
-def depths_below(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, depths: Any) -> Any:
+def depths_below(context: Any, axes: Any, size: Any, plane: Any, depths: Any) -> Any:
     """Measure how deep points lie below a plane, and count those at most `least` deep.
 
     Parameters
     ----------
-    x, y, z : float32 or float64 arrays
-        Coordinates.
-    size : int
-        How many.
+    axes : tuple of three float32 or float64 arrays
+        Coordinates of `size` points.
     plane : tuple of five floats
         The normal, its product with a point of the plane, and `least`.
     depths : float array
@@ -34,17 +32,14 @@ def depths_below(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, de
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        loop = VectorLoop(context, builder, signature.args[0])
-        data = [loop.data(array) for array in arguments[:3]]
-        size, plane, depths = arguments[3], arguments[4], loop.data(arguments[5])
-        normal_x, normal_y, normal_z, height, least = (
-            loop.same(number) for number in cgutils.unpack_tuple(builder, plane)
-        )
+        loop = VectorLoop(context, builder, signature.args[0][0])
+        data, size = loop.each_data(arguments[0]), arguments[1]
+        *normal, height, least = loop.each_same(arguments[2])
+        depths = loop.data(arguments[3])
         counted = cgutils.alloca_once_value(builder, INDEX(0))
 
         def body(index: Any) -> None:
-            x, y, z = (loop.load(array, index) for array in data)
-            depth = height - (normal_x * x + normal_y * y + normal_z * z)
+            depth = height - _product(normal, [loop.load(array, index) for array in data])
             loop.store(depth, depths, index)
             inside = loop.is_before(loop.indices(index), size)
             # Counted are those not known to be deeper.
@@ -54,13 +49,17 @@ def depths_below(context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, de
         loop.run(size, body)
         return builder.load(counted)
 
-    return types.int64(x, y, z, size, plane, depths), generate
+    return types.int64(axes, size, plane, depths), generate
+
+
+def _product(vector: list[Lanes], places: list[Lanes]) -> Lanes:
+    """Return the scalar product of a vector and the places of points."""
+    x, y, z = (one * other for one, other in zip(vector, places, strict=True))
+    return x + y + z
 
 
 @intrinsic
-def point_met(
-    context: Any, x: Any, y: Any, z: Any, depths: Any, size: Any, i: Any, j: Any, inward: Any
-) -> Any:
+def point_met(context: Any, axes: Any, depths: Any, size: Any, i: Any, j: Any, inward: Any) -> Any:
     """Return the point that a plane meets when it is turned over the edge from `i` to `j`.
 
     Of each point, the depth below the plane is known, and its distance from the edge along the
@@ -69,30 +68,24 @@ def point_met(
 
     Parameters
     ----------
-    x, y, z, depths : float32 or float64 arrays
-        Coordinates in [-1, 1], and depths.
-    size : int
-        How many.
-    i, j : uint64
-        The edge.
+    axes : tuple of three float32 or float64 arrays
+        Coordinates of `size` points, in [-1, 1].
     inward : tuple of four floats
         The direction in the plane away from the edge, and its product with a point of the edge.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        loop = VectorLoop(context, builder, signature.args[0])
+        loop = VectorLoop(context, builder, signature.args[0][0])
         tag_bits = INDEX_BITS if loop.bits.width == 64 else ROUGH_INDEX_BITS
-        data = [loop.data(array) for array in arguments[:4]]
-        size, i, j = arguments[4:7]
-        inward_x, inward_y, inward_z, margin = (
-            loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[7])
-        )
+        data, depths = loop.each_data(arguments[0]), loop.data(arguments[1])
+        size, i, j = arguments[2:5]
+        *inward, margin = loop.each_same(arguments[5])
         least_depth, far = loop.constant(1e-30), loop.constant(1e36)
         best = cgutils.alloca_once_value(builder, far.value)
 
         def body(index: Any) -> None:
-            x, y, z, depth = (loop.load(array, index) for array in data)
-            distance = (inward_x * x + inward_y * y + inward_z * z) - margin
+            distance = _product(inward, [loop.load(array, index) for array in data]) - margin
+            depth = loop.load(depths, index)
             cotangent = distance / depth.where(least_depth < depth, least_depth)
             indices = loop.indices(index)
             of_edge = builder.or_(loop.is_at(indices, i), loop.is_at(indices, j))
@@ -104,13 +97,11 @@ def point_met(
         loop.run(size, body)
         return loop.tag_of_least(Lanes(builder, builder.load(best)), tag_bits)
 
-    return types.uint64(x, y, z, depths, size, i, j, inward), generate
+    return types.uint64(axes, depths, size, i, j, inward), generate
 
 
 @intrinsic
-def turns(
-    context: Any, x: Any, y: Any, z: Any, size: Any, plane: Any, inward: Any, other_inward: Any
-) -> Any:
+def turns(context: Any, axes: Any, size: Any, plane: Any, inward: Any, other_inward: Any) -> Any:
     """Count the points surely below a plane, and find those met turning it over two edges.
 
     Each point's depth below the plane and its distance from an edge along the plane are computed
@@ -119,10 +110,8 @@ def turns(
 
     Parameters
     ----------
-    x, y, z : float32 or float64 arrays
-        Coordinates in [-1, 1]; `x` is NaN from `size` to the end of the last vector.
-    size : int
-        How many.
+    axes : tuple of three float32 or float64 arrays
+        Coordinates in [-1, 1]; the first is NaN from `size` to the end of the last vector.
     plane : tuple of five floats
         The normal, its product with a point of the plane, and the depth beyond which a point is
         surely below.
@@ -136,16 +125,11 @@ def turns(
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        loop = VectorLoop(context, builder, signature.args[0])
+        loop = VectorLoop(context, builder, signature.args[0][0])
         tag_bits = INDEX_BITS if loop.bits.width == 64 else ROUGH_INDEX_BITS
-        data = [loop.data(array) for array in arguments[:3]]
-        normal_x, normal_y, normal_z, height, least = (
-            loop.same(number) for number in cgutils.unpack_tuple(builder, arguments[4])
-        )
-        edges = [
-            [loop.same(number) for number in cgutils.unpack_tuple(builder, argument)]
-            for argument in arguments[5:7]
-        ]
+        data = loop.each_data(arguments[0])
+        *normal, height, least = loop.each_same(arguments[2])
+        edges = [loop.each_same(argument) for argument in arguments[3:5]]
         far, one = loop.constant(1e36), loop.constant(1.0)
         counted = cgutils.alloca_once_value(builder, INDEX(0))
         builder.store(INDEX(0), counted)
@@ -154,39 +138,32 @@ def turns(
             builder.store(far.value, least_yet)
 
         def body(index: Any) -> None:
-            x, y, z = (loop.load(array, index) for array in data)
-            depth = height - (normal_x * x + normal_y * y + normal_z * z)
+            places = [loop.load(array, index) for array in data]
+            depth = height - _product(normal, places)
             below = least < depth
             builder.store(builder.add(builder.load(counted), loop.count(below)), counted)
             reciprocal = one / depth
             indices = loop.indices(index)
-            for (inward_x, inward_y, inward_z, margin), least_yet in zip(edges, best, strict=True):
-                distance = (inward_x * x + inward_y * y + inward_z * z) - margin
+            for (*direction, margin), least_yet in zip(edges, best, strict=True):
+                distance = _product(direction, places) - margin
                 cotangent = (distance * reciprocal).where(below, far)
                 cotangent = loop.tagged(cotangent, indices, tag_bits)
                 so_far = Lanes(builder, builder.load(least_yet))
                 builder.store(cotangent.where(cotangent < so_far, so_far).value, least_yet)
 
-        loop.run(arguments[3], body)
+        loop.run(arguments[1], body)
         met = [loop.tag_of_least(Lanes(builder, builder.load(each)), tag_bits) for each in best]
         return context.make_tuple(builder, signature.return_type, [builder.load(counted), *met])
 
     result = types.Tuple((types.int64, types.uint64, types.uint64))
-    return result(x, y, z, size, plane, inward, other_inward), generate
+    return result(axes, size, plane, inward, other_inward), generate
 
 
 @intrinsic
 def rank_all(context: Any, values: Any, size: Any, ranks: Any) -> Any:
     """Count for each of the first values how many of them are smaller.
 
-    Parameters
-    ----------
-    values : float32 array
-        As long as whole vectors.
-    size : uint64
-        How many.
-    ranks : uint32 array
-        As long; overwritten.
+    Both arrays are as long as whole vectors: float32 values, and uint32 ranks, overwritten.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -216,23 +193,13 @@ def rank_all(context: Any, values: Any, size: Any, ranks: Any) -> Any:
 
 @intrinsic
 def places_up_to(context: Any, values: Any, begin: Any, limit: Any) -> Any:
-    """Return which of 32 values are up to and including a limit: the first in the lowest bit.
-
-    Parameters
-    ----------
-    values : float64 array
-    begin : uint64
-        Index of the first of the 32.
-    """
+    """Return which of 32 values are up to and including a limit: the first in the lowest bit."""
     return types.uint64(values, begin, limit), _places(lambda value, limit: limit < value)
 
 
 @intrinsic
 def places_from(context: Any, values: Any, begin: Any, limit: Any) -> Any:
-    """Return which of 32 values are at least a limit: the first in the lowest bit.
-
-    Parameters are those of `places_up_to`.
-    """
+    """Return which of 32 values are at least a limit: the first in the lowest bit."""
     return types.uint64(values, begin, limit), _places(lambda value, limit: value < limit)
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dynahull.errors import InvalidPointsError, MissingClassificationError, MissingDependencyError
-from dynahull.ground import candidates, columns, lattice, opening, surface
+from dynahull.ground import candidates, columns, surface
 from dynahull.ground import slope as slope_module
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.ground.parameters import (
@@ -132,7 +132,7 @@ def test_the_number_of_threads_does_not_matter(seed, threads, outdoor, count):
     height = height_above_ground(points, ground, parameters)
     with pytest.MonkeyPatch.context() as patch:
         # so that a small map is cut into as many ranges as a large one
-        for step in (candidates, columns, lattice, opening, slope_module, surface):
+        for step in (candidates, columns, slope_module, surface):
             patch.setattr(step, "_SMALLEST_RANGE", 20)
         assert np.array_equal(ground_mask(points, parameters, threads=threads), ground)
         again = height_above_ground(points, ground, parameters, threads=threads)

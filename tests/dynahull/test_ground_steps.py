@@ -11,11 +11,9 @@ from pytest import MonkeyPatch
 from scipy import ndimage
 
 from dynahull.ground import columns as columns_module
-from dynahull.ground import lattice as lattice_module
-from dynahull.ground.candidates import outlines
-from dynahull.ground.columns import Columns, sort_columns
+from dynahull.ground.candidates import outlines, stand_out
+from dynahull.ground.columns import Columns, Levels, find_levels, levels_of, sort_columns
 from dynahull.ground.lattice import BLOCK, build_lattice, disk_offsets, lattice_of_cells
-from dynahull.ground.levels import Levels, find_levels, levels_of
 from dynahull.ground.methods import (
     ground_mask,
     ground_summary,
@@ -23,7 +21,6 @@ from dynahull.ground.methods import (
     height_above_ground,
     height_summary,
 )
-from dynahull.ground.opening import stand_out
 from dynahull.ground.parameters import GroundParameters, SlopeExpert, SlopeParameters
 from dynahull.ground.reach import ground_radius, points_around
 from dynahull.ground.slope import GroundSummary
@@ -83,8 +80,7 @@ def test_columns_hold_every_point_from_the_lowest_up(seed, count, size, decimals
     points = np.round(random.uniform(-size, size, (count, 3)), decimals)
     with MonkeyPatch.context() as patch:
         patch.setattr(columns_module, "_SMALLEST_RANGE", 10)
-        patch.setattr(lattice_module, "_SMALLEST_RANGE", 10)
-        lattice = build_lattice(points, 0.5, 1.0, threads)
+        lattice = build_lattice(points, 0.5, 1.0)
         columns = sort_columns(points, 0.5, threads)
     blocks, local = lattice.blocks[lattice.slots // BLOCK**2], lattice.slots % BLOCK**2
     cells = blocks * BLOCK + np.column_stack([local // BLOCK, local % BLOCK])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from dynahull.kernels.exact import exact_hull_volume
+from tests.dynahull.exact_hull import exact_hull_volume
 
 
 def test_a_lattice_cube_is_exact() -> None:

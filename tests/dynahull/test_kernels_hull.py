@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from dynahull.kernels import hull_densities
-from dynahull.kernels.exact import exact_hull_volume
 from dynahull.reference import FLATNESS, hull_volume
+from tests.dynahull.exact_hull import exact_hull_volume
 from tiling.collection import MapCollection, find_map_files
 
 Points = NDArray[np.float64]

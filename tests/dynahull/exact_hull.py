@@ -1,7 +1,7 @@
 """The volume of a convex hull in exact arithmetic, plain: the judge of the fast kernel.
 
 Every double is a fraction, so Python's integers decide without rounding which facets the hull has
-and what it encloses. It takes a thousand times as long as the kernel, and is its last resort.
+and what it encloses. It takes a thousand times as long as the kernel.
 
 As in the kernel, the points are shaken for the topology. With integers of any length the shake
 can be so small that it changes no sign but those of coplanar points.
