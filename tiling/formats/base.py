@@ -117,6 +117,8 @@ class MapReader(ABC):
     is read and written does not depend on it."""
     bytes_per_point: int = 0
     """Bytes of a record, or of the shortest, as far as that is known before it is read."""
+    further: tuple[Field, ...] = ()
+    """Fields that `extend` puts behind those of the file."""
 
     @property
     @abstractmethod
@@ -226,8 +228,11 @@ class MapReader(ABC):
         """Open a writer of a map of `point_count` points in this map's format, header and all."""
 
     @abstractmethod
-    def extended(self, fields: Sequence[Field]) -> "ExtendedFormat":
-        """Return what writes maps like this one whose points have further fields.
+    def extended(self, fields: Sequence[Field]) -> "MapReader":
+        """Return what makes and writes points like this map's that have further fields.
+
+        Nothing is read from it. What a point had stays as it was stored; new values stand behind
+        it, of the types that the format has.
 
         Parameters
         ----------
@@ -239,6 +244,23 @@ class MapReader(ABC):
         MapFormatError
             When the map has no place for them.
         """
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
+        """Return the records of a batch of the map that was extended, with further values.
+
+        Parameters
+        ----------
+        batch : PointBatch
+            Of the reader that made this one by `extended`.
+        values : sequence of (n,) arrays
+            One for each of `further`.
+        """
+        raise NotImplementedError(f"{self.description.format}: no further fields")
+
+    def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
+        """Return extended records with these classes, (n,), where the format has any."""
+        del classification
+        return records
 
     @property
     def writes_parts(self) -> bool:
@@ -254,52 +276,6 @@ class MapReader(ABC):
             When the format has no place for a point before those before it are written.
         """
         raise PartsError(self.description.path, self.description.format)
-
-
-class ExtendedFormat(ABC):
-    """How maps like another are written, with further fields.
-
-    Parameters
-    ----------
-    model : MapReader
-        Whose writers write the extended points. It describes them, and is never read from.
-    fields : sequence of Field
-        The further fields, each of one value.
-    """
-
-    def __init__(self, model: MapReader, fields: Sequence[Field]) -> None:
-        self._model = model
-        self.fields = tuple(fields)
-
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of extended points; see `MapReader.writer`."""
-        return self._model.writer(path, point_count)
-
-    @property
-    def writes_parts(self) -> bool:
-        """Whether several processes can write one output at once; see `MapReader.part_writer`."""
-        return self._model.writes_parts
-
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer of extended points in parts; see `MapReader.part_writer`."""
-        return self._model.part_writer(path, point_count)
-
-    @abstractmethod
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
-        """Return the records of a batch with further values, for the writers.
-
-        Parameters
-        ----------
-        batch : PointBatch
-            From the reader of the map that is extended.
-        values : sequence of (n,) arrays
-            One for each of `fields`.
-        """
-
-    def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
-        """Return extended records with these classes, (n,), where the format has any."""
-        del classification
-        return records
 
 
 class TextWriter(MapWriter):

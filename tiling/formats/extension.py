@@ -1,8 +1,4 @@
-"""Maps like another, whose points have further fields behind their own.
-
-An `ExtendedFormat` writes them, and extends points that the reader of the other map gives. What a
-point had stays as it was stored; new values stand behind it, of the types that the format has.
-"""
+"""Records with further values behind their own."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,51 +6,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.base import ExtendedFormat, MapReader
-from tiling.formats.points import Field, PointBatch
+from tiling.formats.points import Field
 
 if TYPE_CHECKING:
     from tiling.formats.text_rows import TextRows  # compiled: takes long to import
 
 
-class ExtendedRecords(ExtendedFormat):
-    """Records that are packed bytes: the values follow, packed, in the file's byte order."""
-
-    def __init__(self, model: MapReader, fields: Sequence[Field], byte_order: str = "<") -> None:
-        super().__init__(model, fields)
-        self._byte_order = byte_order
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        """Return the records with the values; see `ExtendedFormat.extend`."""
-        tail = packed(self.fields, values, self._byte_order)
-        if batch.records.dtype == object:  # records of no fixed size, as bytes
-            longer = np.empty(len(tail), dtype=object)
-            longer[:] = [
-                record + more
-                for record, more in zip(batch.records, rows_of_bytes(tail), strict=True)
-            ]
-            return longer
-        return joined(batch.records, tail)
+def longer_records(
+    records: NDArray[Any],
+    fields: Sequence[Field],
+    values: Sequence[NDArray[Any]],
+    byte_order: str = "<",
+) -> NDArray[Any]:
+    """Put values, packed in the file's byte order, behind records that are packed bytes."""
+    tail = packed(fields, values, byte_order)
+    if records.dtype != object:
+        return joined(records, tail)
+    longer = np.empty(len(tail), dtype=object)  # records of no fixed size, as bytes
+    longer[:] = [head + more.tobytes() for head, more in zip(records, tail, strict=True)]
+    return longer
 
 
-class ExtendedText(ExtendedFormat):
-    """Rows of text: the values follow on the line, in as many digits as tell them from others."""
-
-    def __init__(self, model: MapReader, fields: Sequence[Field], separator: bytes = b" ") -> None:
-        super().__init__(model, fields)
-        self._separator = separator
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> "TextRows":
-        """Return the rows with the values; see `ExtendedFormat.extend`."""
-        columns = [
-            column.astype(field.dtype).tolist()
-            for field, column in zip(self.fields, values, strict=True)
-        ]
-        words = [
-            self._separator.join(repr(value).encode() for value in row)
-            for row in zip(*columns, strict=True)
-        ]
-        return batch.records.with_words(words, self._separator)
+def longer_rows(
+    rows: "TextRows",
+    fields: Sequence[Field],
+    values: Sequence[NDArray[Any]],
+    separator: bytes = b" ",
+) -> "TextRows":
+    """Put values on the lines of text, in as many digits as tell them from others."""
+    columns = [
+        column.astype(field.dtype).tolist() for field, column in zip(fields, values, strict=True)
+    ]
+    words = [
+        separator.join(repr(value).encode() for value in row) for row in zip(*columns, strict=True)
+    ]
+    return rows.with_words(words, separator)
 
 
 def packed(
@@ -70,9 +56,7 @@ def packed(
 
 def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
     """Put the bytes of each of some records before those of the record beside it, (n,)."""
-    rows = np.empty((len(head), head.dtype.itemsize + tail.dtype.itemsize), dtype=np.uint8)
-    rows[:, : head.dtype.itemsize] = bytes_of(head)
-    rows[:, head.dtype.itemsize :] = bytes_of(tail)
+    rows = np.hstack([bytes_of(head), bytes_of(tail)])
     return rows.view(f"V{rows.shape[1]}")[:, 0]
 
 
@@ -80,8 +64,3 @@ def bytes_of(records: NDArray[Any]) -> NDArray[np.uint8]:
     """Return the bytes of records, (n, size)."""
     size = records.dtype.itemsize
     return np.ascontiguousarray(records).view(np.uint8).reshape(len(records), size)
-
-
-def rows_of_bytes(records: NDArray[Any]) -> list[bytes]:
-    """Return the bytes of each record."""
-    return [record.tobytes() for record in records]

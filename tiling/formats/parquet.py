@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
+from tiling.formats.base import LARGEST_BATCH, MapReader, MapWriter
 from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
@@ -223,24 +223,22 @@ class ParquetReader(MapReader):
         """Open a writer of a table like this one; see `MapReader.writer`."""
         return _ParquetWriter(path, point_count, self._schema, self._layout)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further columns; see `MapReader.extended`."""
         model = copy(self)
+        model.further = tuple(fields)
         for field in fields:
             kind = pa.from_numpy_dtype(np.dtype(field.dtype))
             model._schema = model._schema.append(pa.field(field.name, kind))
         codec = next(iter(self._layout.codecs.values()), "SNAPPY")
         codecs = {**self._layout.codecs, **{field.name: codec for field in fields}}
         model._layout = replace(self._layout, codecs=codecs)
-        return _ExtendedTable(model, fields)
-
-
-class _ExtendedTable(ExtendedFormat):
-    """Tables of points with further columns."""
+        return model
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> pa.Table:
+        """Return the rows with further columns; see `MapReader.extend`."""
         table = batch.records
-        for field, column in zip(self.fields, values, strict=True):
+        for field, column in zip(self.further, values, strict=True):
             table = table.append_column(field.name, pa.array(column.astype(field.dtype)))
         return table
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, TextWriter
-from tiling.formats.extension import ExtendedText
+from tiling.formats.base import MapReader, MapWriter, TextWriter
+from tiling.formats.extension import longer_rows
 from tiling.formats.points import (
     COORDINATES,
     Field,
@@ -146,11 +146,17 @@ class TextReader(MapReader):
         """Open a writer of rows below the same head; see `MapReader.writer`."""
         return TextWriter(path, point_count, self._head.for_points(point_count))
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further values behind the others; see `MapReader.extended`."""
         model = copy(self)
+        model.further = tuple(fields)
         model._head = self._head.extended([field.name for field in fields])
-        return ExtendedText(model, fields, self._head.layout.separator or b" ")
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> TextRows:
+        """Return the rows with further values; see `MapReader.extend`."""
+        separator = self._head.layout.separator or b" "
+        return longer_rows(batch.records, self.further, values, separator)
 
 
 def read_head(path: Path) -> TextHead:

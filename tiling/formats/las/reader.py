@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import bytes_of, packed
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.fields import (
     LAST_SHORT_CLASS,
-    ExtendedLas,
     extended_header,
     extra_fields,
     standard_fields,
@@ -149,13 +149,30 @@ class LasReader(MapReader):
             return super().part_writer(path, point_count)
         return LasPartWriter(path, point_count, self._header)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedLas:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further extra bytes; see `MapReader.extended`."""
         model = copy(self)
+        model.further = tuple(fields)
         model._header = extended_header(self._header, fields)
         if model._header.compressed:
             model._compression = read_compression(model._header)
-        return ExtendedLas(model, fields, self._header)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
+        """Return the records with further values; see `MapReader.extend`."""
+        return np.hstack([batch.records, bytes_of(packed(self.further, values))])
+
+    def with_classes(
+        self, records: NDArray[np.uint8], classification: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Set the classes of records; see `MapReader.with_classes`."""
+        if self._header.point_format < 6:
+            # The other three bits are flags: synthetic, key-point, withheld.
+            records[:, 15] &= np.uint8(0xFF ^ LAST_SHORT_CLASS)
+            records[:, 15] |= classification & np.uint8(LAST_SHORT_CLASS)
+        else:
+            records[:, 16] = classification
+        return records
 
     def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:

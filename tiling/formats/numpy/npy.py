@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import ExtendedRecords
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import longer_records
 from tiling.formats.leftover import check_leftover
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
@@ -105,7 +105,7 @@ class NpyReader(MapReader):
         """Open a writer of an array like this one; see `MapReader.writer`."""
         return SinglePartWriter(self.part_writer(path, point_count))
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further fields or columns; see `MapReader.extended`."""
         model = copy(self)
         header = self._header.extended(fields)
@@ -116,7 +116,15 @@ class NpyReader(MapReader):
         if not header.dtype.names:
             # A column has the type of the others.
             fields = [replace(field, dtype=header.dtype.name) for field in fields]
-        return ExtendedRecords(model, fields, "<" if header.dtype.names else header.dtype.str[0])
+        model.further = tuple(fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        """Return the rows with further values; see `MapReader.extend`."""
+        dtype = self._header.dtype
+        return longer_records(
+            batch.records, self.further, values, "<" if dtype.names else dtype.str[0]
+        )
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts; see `MapReader.part_writer`."""

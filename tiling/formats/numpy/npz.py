@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.extension import joined, packed
 from tiling.formats.leftover import check_leftover
 from tiling.formats.numpy.arrays import (
@@ -149,7 +149,7 @@ class NpzReader(MapReader):
         """Open a writer of an archive like this one; see `MapReader.writer`."""
         return _NpzWriter(path, point_count, self._path, self._members)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further arrays; see `MapReader.extended`."""
         taken = {member.name for member in self._members}
         members = list(self._members)
@@ -165,7 +165,18 @@ class NpzReader(MapReader):
             members.append(_Member(info, field.name, header, is_per_point=True))
         model = copy(self)
         model._members = tuple(members)
-        return _ExtendedArrays(model, fields)
+        model.further = tuple(fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        """Return the rows with those of further arrays; see `MapReader.extend`."""
+        head = batch.records.dtype
+        tail = packed(self.further, values)
+        further = [
+            (f"array {number}", f"V{tail.dtype[field.name].itemsize}")
+            for number, field in enumerate(self.further, start=len(head.names))
+        ]
+        return joined(batch.records, tail).view(np.dtype([*head.descr, *further]))
 
     def _xyz(self, arrays: dict[str, NDArray[np.void]]) -> NDArray[np.float64]:
         headers = dict(self._columns)
@@ -177,20 +188,6 @@ class NpzReader(MapReader):
             for column, name in enumerate(names):
                 xyz[:, column] = arrays[name].view(headers[name].dtype)
         return xyz
-
-
-class _ExtendedArrays(ExtendedFormat):
-    """Archives of points with further arrays."""
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        head = batch.records.dtype
-        tail = packed(self.fields, values)
-        count = len(head.names)
-        further = [
-            (f"array {count + n}", f"V{np.dtype(field.dtype).itemsize}")
-            for n, field in enumerate(self.fields)
-        ]
-        return joined(batch.records, tail).view(np.dtype([*head.descr, *further]))
 
 
 class _NpzWriter(MapWriter):

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter, TextWriter
-from tiling.formats.extension import ExtendedRecords, ExtendedText
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter, TextWriter
+from tiling.formats.extension import longer_records, longer_rows
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, put_records
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
@@ -111,15 +111,19 @@ class PcdReader(MapReader):
             return super().part_writer(path, point_count)
         return PcdBinaryParts(path, point_count, self._header)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further fields; see `MapReader.extended`."""
         fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
         model = copy(self)
+        model.further = tuple(fields)
         model._header = self._header.extended(fields)
         model._stored = (*self._stored, *model._header.fields[-len(fields) :])
-        if self._header.encoding == "ascii":
-            return ExtendedText(model, fields)
-        return ExtendedRecords(model, fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
+        """Return the records with further values; see `MapReader.extend`."""
+        longer = longer_rows if self._header.encoding == "ascii" else longer_records
+        return longer(batch.records, self.further, values)
 
     def _check_size(self, size: int) -> None:
         """Compare the points announced with the bytes that follow the header."""

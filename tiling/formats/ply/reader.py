@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import ExtendedRecords, ExtendedText
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.extension import longer_records, longer_rows
 from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter, copy_spans, put_records
 from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
@@ -150,14 +150,19 @@ class PlyReader(MapReader):
             return super().part_writer(path, point_count)
         return _PlyParts(path, point_count, self._header, self._kept_elements())
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further properties; see `MapReader.extended`."""
         self._kept_elements()  # found by this header, the one of the file
         model = copy(self)
+        model.further = tuple(fields)
         model._header = self._header.extended(fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
+        """Return the records with further values; see `MapReader.extend`."""
         if self._header.encoding == "ascii":
-            return ExtendedText(model, fields)
-        return ExtendedRecords(model, fields, self._header.byte_order)
+            return longer_rows(batch.records, self.further, values)
+        return longer_records(batch.records, self.further, values, self._header.byte_order)
 
     def _check_size(self) -> None:
         """Compare the counts of the header with the size of the file."""
