@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import LARGEST_BATCH, MapReader, MapWriter
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
@@ -51,8 +50,7 @@ class _Layout:
     group_rows: int
     """Rows of the largest row group; 0 where there are none."""
     bytes_per_row: int
-    """Bytes that a row takes in memory, on average; values that are stored once and referred to
-    count once."""
+    """Bytes that a row takes in memory, on average; a text that is stored once counts once."""
     has_int96: bool
     """Whether there are time stamps in the form of 96 bits that Spark and Impala used to write."""
     has_arrow_schema: bool
@@ -91,20 +89,6 @@ class _Layout:
             has_compliant_lists=not any(".list.item" in column.path for column in columns),
         )
 
-    @property
-    def writable_codecs(self) -> dict[str, str]:
-        """The codecs, with Snappy in place of one that cannot be written."""
-        return {path: _writable(codec) for path, codec in self.codecs.items()}
-
-
-def _writable(codec: str) -> str:
-    if codec == "UNCOMPRESSED":
-        return "NONE"
-    try:
-        return codec if pa.Codec.is_available(codec.lower()) else "SNAPPY"
-    except ValueError:  # a codec that pyarrow knows by name only
-        return "SNAPPY"
-
 
 class ParquetReader(MapReader):
     """Reads the rows of a Parquet file as points.
@@ -128,7 +112,6 @@ class ParquetReader(MapReader):
             stored = file.metadata.metadata or {}
             kept = {key: value for key, value in stored.items() if key != _ARROW_SCHEMA}
             self._schema = file.schema_arrow.with_metadata(kept or None)
-            self._texts = [each.name for each in self._schema if _is_text(each.type)]
             self._chunks = find_chunks(path)
             check_pages(path, self._chunks[0] if self._chunks else [])
             self._layout = _Layout.of(file, path)
@@ -156,8 +139,7 @@ class ParquetReader(MapReader):
         return self._layout.group_rows <= _LONGEST_ROW_GROUP
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        # A text that is stored once may stand in every row.
-        with _opened(self._path, self._texts) as file:
+        with _opened(self._path) as file:
             metadata = file.metadata
             sizes = [metadata.row_group(n).num_rows for n in range(metadata.num_row_groups)]
             starts = list(accumulate(sizes, initial=0))
@@ -166,12 +148,11 @@ class ParquetReader(MapReader):
                 for n, size in enumerate(sizes)
                 if starts[n] < rows.stop and starts[n] + size > rows.start
             ]
-            if not groups:
-                return
-            pages = [chunk for group in self._chunks[groups[0] : groups[-1] + 1] for chunk in group]
-            check_pages(self._path, pages)
-            first = starts[groups[0]]
-            yield from only_rows(self._group_batches(file, groups, first, max_points), rows)
+            if groups:
+                for group in self._chunks[groups[0] : groups[-1] + 1]:
+                    check_pages(self._path, group)
+                batches = self._group_batches(file, groups, starts[groups[0]], max_points)
+                yield from only_rows(batches, rows)
 
     def _group_batches(
         self, file: pq.ParquetFile, groups: list[int], row: int, max_points: int
@@ -179,32 +160,12 @@ class ParquetReader(MapReader):
         """Yield the points of consecutive row groups, the first of which is in `row`."""
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
-            for table in self._within_bytes(pa.Table.from_batches([batch])):
-                yield TableBatch(row, self._points.take(table), table)
-                row += table.num_rows
+            table = pa.Table.from_batches([batch])
+            yield TableBatch(row, self._points.take(table), table)
+            row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"
             raise MapFormatError(self._path, expected, f"{row}", at="the end")
-
-    def _within_bytes(self, table: pa.Table) -> Iterator[pa.Table]:
-        """Yield the rows with their texts in full, as many at a time as memory is for."""
-        lengths = np.zeros(table.num_rows, dtype=np.int64)
-        for name in self._texts:
-            for chunk in table.column(name).chunks:
-                of_text = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
-                lengths += pc.fill_null(of_text.take(chunk.indices), 0).to_numpy(False)
-        ends = np.cumsum(lengths)
-        start = 0
-        while start < table.num_rows:
-            most = LARGEST_BATCH + (ends[start - 1] if start else 0)
-            stop = max(int(np.searchsorted(ends, most, side="right")), start + 1)
-            part = table.slice(start, stop - start)
-            for name in self._texts:
-                at = self._schema.get_field_index(name)
-                text = part.column(at).cast(self._schema.field(at).type)
-                part = part.set_column(at, self._schema.field(at), text)
-            yield part
-            start = stop
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one column of some rows, nulls as NaN; see `MapReader.values`."""
@@ -253,12 +214,16 @@ class _ParquetWriter(MapWriter):
         self._gathered: list[pa.Table] = []
         self._rows = self._bytes = 0
         self._file = create_file(path)
+        codecs = {
+            column: "NONE" if codec == "UNCOMPRESSED" else codec
+            for column, codec in layout.codecs.items()
+        }
         self._writer = pq.ParquetWriter(
             self._file,
             schema,
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
-            compression=layout.writable_codecs or "snappy",
+            compression=codecs or "snappy",
             use_deprecated_int96_timestamps=layout.has_int96,
             store_schema=layout.has_arrow_schema,
             use_compliant_nested_type=layout.has_compliant_lists,
@@ -298,19 +263,11 @@ class _ParquetWriter(MapWriter):
 
 
 @contextmanager
-def _opened(path: Path, texts: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file, and turn what is wrong with it into a `MapFormatError`.
-
-    Texts are given as references to each different one.
-    """
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file, and turn what is wrong with it into a `MapFormatError`."""
+    options = {"buffer_size": _READ_BUFFER, "pre_buffer": False, "page_checksum_verification": True}
     try:
-        with open_parquet(
-            path,
-            buffer_size=_READ_BUFFER,
-            read_dictionary=list(texts),
-            pre_buffer=False,
-            page_checksum_verification=True,
-        ) as file:
+        with open_parquet(path, **options) as file:
             yield file
     # pyarrow reports a corrupt file as any of these; one that cannot be read at all was met before.
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
@@ -331,17 +288,6 @@ def _check_signature(path: Path) -> None:
         if size < 12 or raw.read(4) != b"PAR1":
             expected = "PAR1 at the end of a whole Parquet file"
             raise MapFormatError(path, expected, "other bytes", at=f"byte {max(size - 4, 0)}")
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    """Tell whether values of a type have no size of their own, and can be read as references."""
-    types = pa.types
-    return bool(
-        types.is_string(kind)
-        or types.is_large_string(kind)
-        or types.is_binary(kind)
-        or types.is_large_binary(kind)
-    )
 
 
 def _type_name(kind: pa.DataType) -> str:
