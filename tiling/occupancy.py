@@ -44,19 +44,10 @@ class Occupancy:
 
 
 def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
-    """Return the lattice column of each point: floor(x / cell), floor(y / cell).
+    """Return the lattice column of each point, (n, 2): floor(x / cell), floor(y / cell).
 
-    Parameters
-    ----------
-    xyz : (n, 3) float64 array
-        Finite coordinates, metres.
-    cell : float
-        Side of a column, metres; a power of two, so that the division is exact.
-
-    Returns
-    -------
-    (n, 2) int64 array
-        Points beyond `FARTHEST` are in the column at the edge.
+    Coordinates are finite, (n, 3); the cell is a power of two, so that the division is exact.
+    Points beyond `FARTHEST` are in the column at the edge.
     """
     return np.floor(np.clip(xyz[:, :2], -FARTHEST, FARTHEST) / cell).astype(np.int64)
 
@@ -90,15 +81,11 @@ class ColumnCounter:
 
     The result depends on the points alone, not on their order: the columns that some of the
     points occupy are never more than those of all. Its memory is bounded by `MOST_COLUMNS`.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a column at present, metres.
     """
 
     def __init__(self, cell: float = FINEST_CELL) -> None:
         self.cell = cell
+        """Side of a column at present, metres."""
         self._parts = [Occupancy(cell, np.empty((0, 2), np.int64), np.empty(0, np.int64))]
 
     def add_points(self, xyz: NDArray[np.float64]) -> None:

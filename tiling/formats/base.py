@@ -123,10 +123,7 @@ class MapReader(ABC):
     @property
     @abstractmethod
     def seekable(self) -> bool:
-        """Whether some of the rows can be read without all rows before them.
-
-        Then a range costs in proportion to its length.
-        """
+        """Whether some of the rows can be read without all rows before them."""
 
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
@@ -167,14 +164,7 @@ class MapReader(ABC):
         raise NotImplementedError(f"{self.description.format}: records of no fixed size")
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
-        """Return one field of some points, (n,), as the file has it.
-
-        Parameters
-        ----------
-        records : opaque
-            Of a batch of this reader.
-        name : str
-            A field with one value a point, by its name in the description.
+        """Return a field with one value a point, (n,), of records of this reader, as stored.
 
         Raises
         ------
@@ -190,15 +180,7 @@ class MapReader(ABC):
         return False
 
     def with_values(self, records: Any, values: Mapping[str, NDArray[Any]]) -> Any:
-        """Return the records of some points with other values of some fields.
-
-        Parameters
-        ----------
-        records : opaque
-            Of a batch of this reader.
-        values : mapping of str to (n,) array
-            By names that `values` takes.
-        """
+        """Return records of this reader with other values, (n,), by names that `values` takes."""
         records = records.copy()
         with np.errstate(over="ignore", invalid="ignore"):
             for name, column in values.items():
@@ -248,12 +230,7 @@ class MapReader(ABC):
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
         """Return the records of a batch of the map that was extended, with further values.
 
-        Parameters
-        ----------
-        batch : PointBatch
-            Of the reader that made this one by `extended`.
-        values : sequence of (n,) arrays
-            One for each of `further`.
+        They are (n,) arrays, one for each of `further`.
         """
         raise NotImplementedError(f"{self.description.format}: no further fields")
 

@@ -19,25 +19,16 @@ _BLOCK = 1 << 20
 def check_leftover(
     file: BinaryIO, start: int, stop: int, record_size: int, path: Path, counted: str
 ) -> tuple[str, ...]:
-    """Refuse bytes that could be points, and note those that cannot.
+    """Refuse bytes that could be points; return a note on those that cannot, if there are any.
 
     Parameters
     ----------
-    file : binary file
-        Able to seek.
     start, stop : int
         The bytes that nothing in the header speaks for.
     record_size : int
         Bytes of a point, or of the smallest.
-    path : Path
-        The file, for messages.
-    counted : str
-        What the header counts, such as `"1000 points"`.
-
-    Returns
-    -------
-    tuple of str
-        A note on what is left out, if there is anything.
+    path, counted : Path, str
+        The file, and what its header counts, such as `"1000 points"`: for messages.
 
     Raises
     ------

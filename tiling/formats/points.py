@@ -1,7 +1,7 @@
 """Points on their way from a reader to whoever asks for them."""
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Self
@@ -16,7 +16,6 @@ from tiling.grid import Grid
 
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
-
 
 COORDINATES = ("x", "y", "z")
 
@@ -46,15 +45,11 @@ class MapDescription:
 
     Attributes
     ----------
-    path : Path
-        The file.
     format : str
         Kind and variant for people, such as `"PCD binary_compressed"` or
         `"LAZ 1.4, point format 6"`.
     suffix : str
         File name suffix of a map written like this one, with the dot (`".laz"` for COPC).
-    point_count : int
-        Points in the file.
     fields : tuple of Field
         Every field, in the file's order.
     crs : str or None
@@ -92,10 +87,9 @@ class MapDescription:
 
     def __post_init__(self) -> None:
         """Make what is shown to people, and comes from the file, fit for it."""
+        notes = tuple(printable(note, LONGEST_MESSAGE) for note in self.notes)
         object.__setattr__(self, "format", printable(self.format))
-        object.__setattr__(
-            self, "notes", tuple(printable(note, LONGEST_MESSAGE) for note in self.notes)
-        )
+        object.__setattr__(self, "notes", notes)
         if self.crs is not None:
             object.__setattr__(self, "crs", printable(self.crs))
 
@@ -141,13 +135,12 @@ class PointBatch:
         if (start, stop) == (0, len(self.xyz)):
             return self
         part = slice(start, stop)
-        return replace(
-            self,
-            first_row=self.first_row + start,
-            xyz=self.xyz[part],
-            records=self.records[part],
-            classification=None if self.classification is None else self.classification[part],
-            withheld=None if self.withheld is None else self.withheld[part],
+        return type(self)(
+            self.first_row + start,
+            self.xyz[part],
+            self.records[part],
+            None if self.classification is None else self.classification[part],
+            None if self.withheld is None else self.withheld[part],
         )
 
 
@@ -177,18 +170,7 @@ def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch
 
 
 def coordinate_names(names: Collection[str]) -> tuple[str, str, str] | None:
-    """Find the fields that hold the coordinates.
-
-    Parameters
-    ----------
-    names : collection of str
-        The names of all fields.
-
-    Returns
-    -------
-    tuple of str or None
-        `("x", "y", "z")` where there are such fields, else `("X", "Y", "Z")`, else None.
-    """
+    """Return which of all fields hold the coordinates: x, y and z, else X, Y and Z, else None."""
     for x, y, z in (COORDINATES, ("X", "Y", "Z")):
         if x in names and y in names and z in names:
             return x, y, z
@@ -198,19 +180,13 @@ def coordinate_names(names: Collection[str]) -> tuple[str, str, str] | None:
 def row_digests(records: Any) -> list[bytes]:
     """Return a digest of each record, so that points of two files can be told to be the same.
 
-    Records are compared as the files store them, all fields to the last bit; rows of text without
-    their line ends, since the last row of a file may have none.
-
-    Parameters
-    ----------
-    records : opaque
-        As `PointBatch.records`, of any format.
+    Records, of any format, are compared as the files store them, all fields to the last bit; rows
+    of text without their line ends, since the last row of a file may have none.
     """
     return [blake2b(row, digest_size=16).digest() for row in _rows(records)]
 
 
 def _rows(records: Any) -> Iterable[bytes]:
-    """Return the bytes of each record."""
     if isinstance(records, np.ndarray):
         return _of_array(records)
     if hasattr(records, "starts"):  # rows of text

@@ -23,18 +23,9 @@ SIGNATURE_LENGTH = 32
 
 
 def kind_of(start: bytes) -> str:
-    """Say in a few words what a file is that begins with `start`.
+    """Say what a file is by its first `SIGNATURE_LENGTH` bytes, such as `"an empty file"`.
 
-    Parameters
-    ----------
-    start : bytes
-        The first `SIGNATURE_LENGTH` bytes of the file, or all of a shorter one.
-
-    Returns
-    -------
-    str
-        A noun phrase, such as `"an empty file"` or `"a git-LFS pointer, ..."`; the bytes
-        themselves where no known kind begins so.
+    Where no known kind begins so, the bytes themselves are said.
     """
     if not start:
         return "an empty file"

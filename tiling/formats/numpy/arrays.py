@@ -227,14 +227,10 @@ def _understood(text: bytes, version: int) -> tuple[tuple[int, ...], bool, np.dt
 
 
 class RowReader:
-    """Reads the rows of an array, some at a time.
+    """Reads the rows of an array from the first wanted on, some at a time.
 
-    Parameters
-    ----------
-    streams : sequence of binary files
-        One for each of `header.column_count`; the same one many times where it can jump about.
-    first_row : int
-        Where to begin.
+    There is a stream for each of `header.column_count`; the same one many times where it can jump
+    about.
     """
 
     def __init__(
@@ -252,12 +248,7 @@ class RowReader:
         self._row = first_row
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Read the next `count` rows.
-
-        Returns
-        -------
-        (count,) array of `header.row_bytes` wide void
-            In Fortran order, the elements of a row are gathered.
+        """Read the next rows, (count,) of `header.row_bytes` bytes, elements gathered.
 
         Raises
         ------
@@ -295,16 +286,9 @@ class RowReader:
 def put_rows(
     file: BinaryIO, header: ArrayHeader, row_count: int, first: int, rows: NDArray[np.void]
 ) -> None:
-    """Write rows to their places in the file of an array; the header is for the caller to write.
+    """Write rows, as `RowReader.read` gives them, to their places from row `first` on.
 
-    Parameters
-    ----------
-    file : binary file
-        Able to seek.
-    row_count, first : int
-        Rows that the array will have, and the place of the first of these.
-    rows : (n,) array
-        As `RowReader.read` gives them.
+    The array will have `row_count` rows; its header is for the caller to write.
     """
     columns = header.column_count
     if header.row_bytes:

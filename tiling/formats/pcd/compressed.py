@@ -44,16 +44,7 @@ Bytes = NDArray[np.uint8]
 
 
 def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Iterator[Bytes]:
-    """Decompress the next `packed_size` bytes of a stream.
-
-    Parameters
-    ----------
-    stream : binary file
-        At the first compressed byte.
-    packed_size, size : int
-        Bytes before and after decompression, as the file gives them.
-    path : Path
-        The file, for messages.
+    """Decompress the next `packed_size` bytes of a stream into `size` bytes, as the file says.
 
     Yields
     ------
@@ -100,17 +91,9 @@ def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Ite
 
 
 def compress(block: Bytes) -> bytes:
-    """Compress a block; the results of successive blocks make one stream.
+    """Compress a block, (n,) of less than 2 GiB, into n + n / 32 + 1 bytes at most.
 
-    Parameters
-    ----------
-    block : (n,) uint8 array
-        Less than 2 GiB; `BLOCK` bytes are a good size.
-
-    Returns
-    -------
-    bytes
-        At most n + n / 32 + 1 of them.
+    The results of successive blocks make one stream; `BLOCK` bytes are a good size.
     """
     packed = np.empty(len(block) + len(block) // LONGEST_LITERAL + 8, dtype=np.uint8)
     latest = np.full(1 << _HASH_BITS, -1, dtype=np.int32)
