@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -39,7 +40,7 @@ class PlyReader(MapReader):
         self._path = path
         with path.open("rb") as file:
             self._header = read_header(file, path)
-        self._spans: dict[str, tuple[int, int]] | None = None
+        self._is_checked = False
         vertex = self._header.vertex
         names = coordinate_names([each.name for each in vertex.scalars])
         if names is None:
@@ -73,49 +74,29 @@ class PlyReader(MapReader):
         return self._header.encoding != "ascii" and all(each.is_fixed for each in before)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        if rows == range(self.description.point_count):
-            return self._all_batches(max_points)
-        if self.seekable:
-            return self._range_batches(max_points, rows)
-        return only_rows(self._all_batches(max_points), rows)
+        if self.seekable or not rows.start:
+            return self._batches_from(rows, max_points)
+        return only_rows(self._batches_from(range(rows.stop), max_points), rows)
 
-    def _range_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        """Yield some vertices, each of which has its place in the file."""
+    def _batches_from(self, rows: range, max_points: int) -> Iterator[PointBatch]:
+        """Yield vertices from a row on, which is the first unless each has its place."""
+        elements, vertex = self._header.elements, self._header.vertex
+        place = elements.index(vertex)
         with self._path.open("rb") as file:
             reader = open_rows(file, self._header, self._path)
-            for element in self._header.elements:
-                if element.name == VERTEX:
-                    break
+            for element in elements[:place]:
                 reader.skip(element)
-            reader.skip(element, rows.start)
-            for first in range(rows.start, rows.stop, max_points):
-                most = min(max_points, rows.stop - first)
-                records, xyz = reader.take(element, most, self._names)
+            reader.skip(vertex, rows.start)
+            first = rows.start
+            while first < rows.stop:
+                records, xyz = reader.take(vertex, min(max_points, rows.stop - first), self._names)
                 yield PointBatch(first, xyz, records)
-        if rows.stop == self.description.point_count:
-            self._check_to_the_end()
-
-    def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
-        spans: dict[str, tuple[int, int]] = {}
-        with self._path.open("rb") as file:
-            rows = open_rows(file, self._header, self._path)
-            for element in self._header.elements:
-                start = rows.position
-                if element.name != VERTEX:
-                    # The elements after the last vertex need checking only once.
-                    if VERTEX not in spans or self._spans is None:
-                        rows.skip(element)
-                else:
-                    first = 0
-                    while first < element.count:
-                        most = min(max_points, element.count - first)
-                        records, xyz = rows.take(element, most, self._names)
-                        yield PointBatch(first, xyz, records)
-                        first += len(records)
-                spans[element.name] = (start, rows.position)
-            if self._spans is None:
-                self._check_behind(file, rows)
-                self._spans = spans
+                first += len(records)
+            if rows.stop == vertex.count and not self._is_checked:
+                for element in elements[place + 1 :]:
+                    reader.skip(element)
+                self._check_behind(file, reader)
+                self._is_checked = True
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one property of some vertices; see `MapReader.values`."""
@@ -189,9 +170,8 @@ class PlyReader(MapReader):
         kept = [e for e in others if e.count and e not in header.dropped]
         if not kept:
             return _KeptElements(self._path)
-        found = self._check_to_the_end()
-        vertex_start = found[VERTEX][0]
-        spans = [found[element.name] for element in kept]
+        vertex_start = self._spans[VERTEX][0]
+        spans = [self._spans[element.name] for element in kept]
         return _KeptElements(
             self._path,
             before=tuple(span for span in spans if span[0] < vertex_start),
@@ -211,7 +191,7 @@ class PlyReader(MapReader):
                     rows.skip(element)
                 return self._check_behind(file, rows)
         if not header.vertex.count:
-            self._check_to_the_end()
+            next(self._batches_from(range(0), 1), None)
         return ()
 
     def _check_behind(self, file: BinaryIO, rows: PlyRows) -> tuple[str, ...]:
@@ -223,19 +203,17 @@ class PlyReader(MapReader):
         stop = self._path.stat().st_size
         return check_leftover(file, rows.position, stop, least, self._path, counts)
 
-    def _check_to_the_end(self) -> dict[str, tuple[int, int]]:
-        """Read all elements once; return where each of them begins and ends."""
-        if self._spans is None:
-            spans = {}
-            with self._path.open("rb") as file:
-                rows = open_rows(file, self._header, self._path)
-                for element in self._header.elements:
-                    start = rows.position
-                    rows.skip(element)
-                    spans[element.name] = (start, rows.position)
-                self._check_behind(file, rows)
-            self._spans = spans
-        return self._spans
+    @cached_property
+    def _spans(self) -> dict[str, tuple[int, int]]:
+        """Where each element begins and ends."""
+        spans = {}
+        with self._path.open("rb") as file:
+            rows = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                start = rows.position
+                rows.skip(element)
+                spans[element.name] = (start, rows.position)
+        return spans
 
 
 @dataclass(frozen=True, slots=True)
