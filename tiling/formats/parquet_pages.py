@@ -65,12 +65,9 @@ def check_pages(path: Path, chunks: Iterable[tuple[int, int]]) -> None:
                 if not (0 <= unpacked <= LARGEST_PAGE and 0 <= packed <= LARGEST_PAGE) or (
                     place + length + packed > size
                 ):
-                    raise MapFormatError(
-                        path,
-                        f"a page within the file, of at most {LARGEST_PAGE} bytes",
-                        f"one of {packed} bytes, {unpacked} unpacked",
-                        at=f"byte {place}",
-                    )
+                    expected = f"a page within the file, of at most {LARGEST_PAGE} bytes"
+                    found = f"one of {packed} bytes, {unpacked} unpacked"
+                    raise MapFormatError(path, expected, found, f"byte {place}")
                 place += length + packed
 
 

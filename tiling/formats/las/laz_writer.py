@@ -15,8 +15,7 @@ from tiling.formats.las.laz_header import Compression, own_compression
 from tiling.formats.las.surroundings import LasSummary, LasSurroundings
 from tiling.output_file import create_file
 
-# It has no types that a checker can use.
-lazrs: Any = import_module("lazrs")
+lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
 _CHUNK = 50_000
 """Points in a chunk, where this module says how many."""

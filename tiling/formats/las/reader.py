@@ -10,6 +10,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -194,12 +195,10 @@ class _RawPoints:
     def read_into(self, records: NDArray[np.uint8]) -> None:
         found = self._file.readinto(records.reshape(-1).data)  # type: ignore[attr-defined]
         if found != records.size:
-            raise MapFormatError(
-                self._header.path,
-                f"{self._header.point_count} points",
-                "the file's end: it was cut after its header was read",
-                f"byte {self._file.tell()}",
-            )
+            expected = f"{self._header.point_count} points"
+            found = "the file's end: it was cut after its header was read"
+            at = f"byte {self._file.tell()}"
+            raise MapFormatError(self._header.path, expected, found, at)
 
 
 def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
@@ -271,28 +270,20 @@ def _check_behind_points(
     """Refuse points that the header does not count; return notes on other bytes.
 
     EVLRs and waveform packets have their place behind the points. Of compressed points the chunks
-    are counted; the last points of the last chunk are found missing when it is read.
-
-    Raises
-    ------
-    MapFormatError
-        When there are more points than the header counts, or others than it says.
+    are counted; the last points of the last chunk are found missing when it is read, and without
+    chunks it is known where decompression ends, unless there is no point.
     """
-    counted = f"{header.point_count} points"
+    gaps: list[tuple[int, int]] = []
     if compression is None:
-        notes: tuple[str, ...] = ()
-        for start, stop in _gaps(header):
-            size = header.record_length
-            notes += check_leftover(file, start, stop, size, header.path, counted)
-        return notes
-    if not compression.has_chunks:
-        if header.point_count:
-            return ()  # known where decompression ends
+        gaps = list(_gaps(header))
+    elif compression.has_chunks:
+        check_chunk_count(file, header, compression)
+    elif not header.point_count:
         stop = min([start for start, _ in _known(header)], default=header.file_size)
-        size = header.record_length
-        return check_leftover(file, header.points_offset, stop, size, header.path, counted)
-    check_chunk_count(file, header, compression)
-    return ()
+        gaps = [(header.points_offset, stop)]
+    counted, size = f"{header.point_count} points", header.record_length
+    notes = [check_leftover(file, *gap, size, header.path, counted) for gap in gaps]
+    return tuple(chain.from_iterable(notes))
 
 
 def _known(header: LasHeader) -> list[tuple[int, int]]:
@@ -310,11 +301,8 @@ def _gaps(header: LasHeader) -> Iterator[tuple[int, int]]:
     end = position = header.points_offset + header.point_count * header.record_length
     for start, stop in _known(header):
         if start < end:
-            raise MapFormatError(
-                header.path,
-                f"{header.point_count} points before what follows them at byte {start}",
-                f"points up to byte {end}",
-            )
+            expected = f"{header.point_count} points before what follows them at byte {start}"
+            raise MapFormatError(header.path, expected, f"points up to byte {end}")
         yield position, start
         position = max(position, stop)
     yield position, header.file_size

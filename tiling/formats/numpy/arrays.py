@@ -267,12 +267,9 @@ class RowReader:
             stream.seek(start)
             content = stream.read(count * width)
             if len(content) != count * width:
-                raise MapFormatError(
-                    self._path,
-                    f"{header.data_bytes} bytes of {self._name} ({header})",
-                    f"the end at byte {start + len(content)}",
-                    at=f"byte {start}",
-                )
+                expected = f"{header.data_bytes} bytes of {self._name} ({header})"
+                found = f"the end at byte {start + len(content)}"
+                raise MapFormatError(self._path, expected, found, f"byte {start}")
             table[:, column] = np.frombuffer(content, dtype=table.dtype)
         self._row += count
         return table.view(f"V{header.row_bytes}").reshape(count)

@@ -133,12 +133,8 @@ class PcdReader(MapReader):
             # Every value has a digit and something after it, save the last one.
             least = header.point_count * header.value_count * 2 - 1
         if least > size:
-            raise MapFormatError(
-                self._path,
-                f"at least {least} bytes for {header.point_count} points",
-                str(size),
-                f"byte {header.data_offset}",
-            )
+            expected = f"at least {least} bytes for {header.point_count} points"
+            raise MapFormatError(self._path, expected, str(size), f"byte {header.data_offset}")
 
     def _check_leftover(self, stream: BinaryIO, stop: int) -> tuple[str, ...]:
         """Refuse points that the header does not count; return notes on other bytes.
@@ -209,12 +205,8 @@ class PcdReader(MapReader):
                 count = min(max_points, rows.stop - first_row)
                 data = stream.read(count * header.record_size)
                 if len(data) < count * header.record_size:
-                    raise MapFormatError(
-                        self._path,
-                        f"{header.point_count} points",
-                        "the end of the file",
-                        f"byte {stream.tell()}",
-                    )
+                    expected, at = f"{header.point_count} points", f"byte {stream.tell()}"
+                    raise MapFormatError(self._path, expected, "the end of the file", at)
                 records = np.frombuffer(data, dtype=f"V{header.record_size}")
                 yield self.batch_of(first_row, records)
 
@@ -257,15 +249,7 @@ class PcdReader(MapReader):
         """Return the first value of a field of binary records."""
         offset = sum(other.width for other in self._stored if other.offset < field.offset)
         kind = np.dtype(field.dtype).newbyteorder("<")
-        row = np.dtype(
-            {
-                "names": ["value"],
-                "formats": [kind],
-                "offsets": [offset],
-                "itemsize": records.itemsize,
-            }
-        )
-        return np.asarray(records.view(row)["value"])
+        return np.asarray(records.getfield(kind, offset))
 
     @property
     def record_dtype(self) -> np.dtype[Any] | None:

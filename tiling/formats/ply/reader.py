@@ -156,12 +156,9 @@ class PlyReader(MapReader):
             needed = sum(e.least_bytes * e.count for e in header.elements)
         if size - header.size < needed:
             counts = ", ".join(f"{e.count} {e.name}" for e in header.elements)
-            raise MapFormatError(
-                self._path,
-                f"at least {needed} bytes after the header for its elements ({counts})",
-                f"{size - header.size} bytes",
-                at=f"byte {header.size}",
-            )
+            expected = f"at least {needed} bytes after the header for its elements ({counts})"
+            found = f"{size - header.size} bytes"
+            raise MapFormatError(self._path, expected, found, f"byte {header.size}")
 
     def _kept_elements(self) -> "_KeptElements":
         """Find the elements to copy before and after the vertices."""
