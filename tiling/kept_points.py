@@ -59,13 +59,7 @@ class KeptPoints:
         make_sized(self.path, self.size)
 
     def keep(self, batches: Iterator[tuple[int, PointBatch]]) -> Iterator[PointBatch]:
-        """Write points of `MapCollection.batches` as they pass; they are on the disk at the end.
-
-        Raises
-        ------
-        ChunkError
-            When the file is not there.
-        """
+        """Write points of `MapCollection.batches` as they pass; they are on the disk at the end."""
         with self._opened(write_only) as stream:
             for file, batch in batches:
                 stream.seek(self._place(file, batch.first_row))
@@ -78,12 +72,8 @@ class KeptPoints:
     def batches(self, max_points: int, rows: range) -> Iterator[tuple[int, PointBatch]]:
         """Yield the points of a range of rows, in order, as `MapCollection.batches` does.
 
-        They have no records where these are not kept.
-
-        Raises
-        ------
-        ChunkError
-            When the file is not there, or not of its size.
+        They have no records where these are not kept. A `ChunkError` says that the file is not
+        there, or not of its size.
         """
         with self._opened(lambda path: path.open("rb")) as stream:
             for file in self.collection.files_of(rows):

@@ -76,9 +76,7 @@ class Layout:
         return Tile(index, self.low[index], self.high[index], int(self.counts[index]))
 
     def __iter__(self) -> Iterator[Tile]:
-        low, high = self.low, self.high
-        for index, count in enumerate(self.counts.tolist()):
-            yield Tile(index, low[index], high[index], count)
+        return map(self.__getitem__, range(len(self)))
 
     @cached_property
     def low(self) -> Corners:

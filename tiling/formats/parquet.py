@@ -96,11 +96,6 @@ class ParquetReader(MapReader):
     All columns of any type, the schema with its metadata (pandas, GeoParquet), the compression
     of each column and the size of the row groups are those of the output too. A null coordinate
     counts as NaN and stays null.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not a Parquet file, or its points are not found, see `find_points`.
     """
 
     sets_values = True

@@ -22,68 +22,46 @@ COORDINATES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of every point.
-
-    Attributes
-    ----------
-    name : str
-        As the file names it.
-    dtype : str
-        NumPy's name of the type, such as `"float32"`; for a field with no such type, the file's.
-    count : int
-        Values per point.
-    """
+    """One field of every point."""
 
     name: str
+    """As the file names it."""
     dtype: str
+    """NumPy's name of the type, such as `"float32"`; for a field with no such type, the file's."""
     count: int = 1
+    """Values per point."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapDescription:
-    """What a map file says of itself, before any point is read.
-
-    Attributes
-    ----------
-    format : str
-        Kind and variant for people, such as `"PCD binary_compressed"` or
-        `"LAZ 1.4, point format 6"`.
-    suffix : str
-        File name suffix of a map written like this one, with the dot (`".laz"` for COPC).
-    fields : tuple of Field
-        Every field, in the file's order.
-    crs : str or None
-        The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
-    units : Units or None
-        What the coordinates are measured in, where the file says it.
-    has_classification : bool
-        Whether the batches carry ASPRS classes.
-    largest_class : int
-        The largest class that a point can have, where they have classes.
-    grid : Grid or None
-        The grid that all coordinates are on (LAS).
-    notes : tuple of str
-        What an output of this kind cannot carry over, one plain sentence each.
-    viewpoint : tuple of 7 float or None
-        Where the sensor was, and its quaternion, w first, where the file says it (PCD).
-    scans : tuple of (int, tuple of 12 float)
-        Points of each scan, and its pose in the map, row by row, where the file keeps scans apart
-        (E57).
-    """
+    """What a map file says of itself, before any point is read."""
 
     path: Path
     format: str
+    """Kind and variant for people, such as `"PCD binary_compressed"` or
+    `"LAZ 1.4, point format 6"`."""
     suffix: str
+    """File name suffix of a map written like this one, with the dot (`".laz"` for COPC)."""
     point_count: int
     fields: tuple[Field, ...]
+    """Every field, in the file's order."""
     crs: str | None = None
+    """The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any."""
     units: Units | None = None
+    """What the coordinates are measured in, where the file says it."""
     has_classification: bool = False
+    """Whether the batches carry ASPRS classes."""
     largest_class: int = 255
+    """The largest class that a point can have, where they have classes."""
     grid: Grid | None = None
+    """The grid that all coordinates are on (LAS)."""
     notes: tuple[str, ...] = ()
+    """What an output of this kind cannot carry over, one plain sentence each."""
     viewpoint: tuple[float, ...] | None = None
+    """7 numbers: where the sensor was, and its quaternion, w first, where the file says it (PCD)."""
     scans: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    """Points of each scan, and its pose in the map, 12 numbers row by row, where the file keeps
+    scans apart (E57)."""
 
     def __post_init__(self) -> None:
         """Make what is shown to people, and comes from the file, fit for it."""
@@ -96,28 +74,19 @@ class MapDescription:
 
 @dataclass(frozen=True, slots=True)
 class PointBatch:
-    """Some consecutive points of a map.
-
-    Attributes
-    ----------
-    first_row : int
-        Row number, in the file, of the first point.
-    xyz : (n, 3) float64 array
-        Coordinates, in the map's units; NaN or infinite where the file has none.
-    records : opaque
-        The points as the format stores them, usually an array: to be selected by `select` and
-        given to a writer made by the same reader.
-    classification : (n,) uint8 array or None
-        ASPRS classes (LAS), where the format has them.
-    withheld : (n,) bool array or None
-        Points that are marked as deleted (LAS), where the format has such a mark.
-    """
+    """Some consecutive points of a map."""
 
     first_row: int
+    """Row number, in the file, of the first point."""
     xyz: NDArray[np.float64]
+    """(n, 3): coordinates, in the map's units; NaN or infinite where the file has none."""
     records: Any
+    """The points as the format stores them, usually an array: to be selected by `select` and given
+    to a writer made by the same reader."""
     classification: NDArray[np.uint8] | None = None
+    """(n,): ASPRS classes (LAS), where the format has them."""
     withheld: NDArray[np.bool_] | None = None
+    """(n,): points that are marked as deleted (LAS), where the format has such a mark."""
 
     def select(self, chosen: NDArray[np.bool_]) -> Any:
         """Return the records of the points where `chosen` is true, in order."""

@@ -88,11 +88,6 @@ class TextReader(MapReader):
     """Reads a text file of points.
 
     Making one counts the rows, for which the whole file is read once.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not text with a point a row, as many values in each and as many rows as it says.
     """
 
     seekable = False  # where a row begins is known from those before it

@@ -46,13 +46,7 @@ from tiling.grid import Grid, integers_in_records
 
 
 class LasReader(MapReader):
-    """Reads a LAS, LAZ or COPC file; COPC points come in the file's order.
-
-    Raises
-    ------
-    MapFormatError
-        When the header, or what it says of the points, contradicts the format or the file's size.
-    """
+    """Reads a LAS, LAZ or COPC file; COPC points come in the file's order."""
 
     sets_values = True
 

@@ -33,11 +33,6 @@ class NpyReader(MapReader):
 
     Type, byte order, the order of the elements, and further columns or fields are kept. Arrays of
     Python objects are refused: nothing is ever unpickled.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not such an array, or the file is too small for it.
     """
 
     seekable = sets_values = writes_parts = True
@@ -172,11 +167,6 @@ class RawReader(NpyReader):
     """Reads bare records of float32, as KITTI and nuScenes store scans: the size tells the points.
 
     `.bin` has x, y, z and intensity (16 bytes), `.pcd.bin` the ring as well (20 bytes).
-
-    Raises
-    ------
-    MapFormatError
-        When the size is not that of whole records, or the file is known to be another thing.
     """
 
     def __init__(self, path: Path) -> None:

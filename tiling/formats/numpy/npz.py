@@ -54,11 +54,6 @@ class NpzReader(MapReader):
     x, y and z, or else three arrays x, y and z, or else the only array that can be meant. Every
     other array of N rows belongs to the points and is filtered along; any other entry, and whatever
     holds Python objects, is copied as it is.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not such an archive, or its entries are too small for their arrays.
     """
 
     seekable = False  # an entry is unpacked from its beginning
@@ -350,10 +345,7 @@ def _notes(
 
 
 def _unorganised(header: ArrayHeader | None, points: ArrayHeader) -> ArrayHeader | None:
-    """Return the header of an array with an entry for each of some organised points, a point a row.
-
-    Others stay as they are.
-    """
+    """Return the header of an array of some organised points as a point a row; others as is."""
     if header is None or header.fortran_order or header.shape[:2] != points.shape[:2]:
         return header
     return replace(header, shape=(points.unorganised.row_count, *header.shape[2:]))

@@ -41,14 +41,7 @@ _PCL_TYPES = {"label": "uint32"}
 
 
 class PcdReader(MapReader):
-    """Reads a PCD file.
-
-    Raises
-    ------
-    MapFormatError
-        When the header is not one of a PCD file with x, y and z, or promises more than the file
-        can hold.
-    """
+    """Reads a PCD file."""
 
     def __init__(self, path: Path) -> None:
         self._path = Path(path)

@@ -29,11 +29,6 @@ class PlyReader(MapReader):
     digit changes. Elements beside the vertices go to the output as they are, apart from those
     that mean vertices by number (faces, edges): these lose their sense with the first point
     removed and are left out, which the description's notes say.
-
-    Raises
-    ------
-    MapFormatError
-        When the header is not one of a PLY map, or the file too small for what it announces.
     """
 
     def __init__(self, path: Path) -> None:
