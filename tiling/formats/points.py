@@ -58,7 +58,7 @@ class MapDescription:
     notes: tuple[str, ...] = ()
     """What an output of this kind cannot carry over, one plain sentence each."""
     viewpoint: tuple[float, ...] | None = None
-    """7 numbers: where the sensor was, and its quaternion, w first, where the file says it (PCD)."""
+    """Where the sensor was, 3 numbers, and its quaternion, w first, where the file says it."""
     scans: tuple[tuple[int, tuple[float, ...]], ...] = ()
     """Points of each scan, and its pose in the map, 12 numbers row by row, where the file keeps
     scans apart (E57)."""
