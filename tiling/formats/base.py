@@ -9,13 +9,13 @@ output bit for bit.
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError, PartsError, PointCountError
-from tiling.formats.parts import PartWriter
+from tiling.formats.parts import MapPart, PartWriter
 from tiling.formats.points import (
     DEFAULT_BATCH,
     Field,
@@ -36,6 +36,9 @@ class MapWriter(ABC):
     A context manager: leaving it without an error finishes the file, and refuses one that holds
     another number of points than promised.
     """
+
+    _file: BinaryIO | MapPart
+    """What is open."""
 
     def __init__(self, path: Path, point_count: int) -> None:
         self.path = path
@@ -75,9 +78,9 @@ class MapWriter(ABC):
     def _finish(self) -> None:
         """Write what follows the points, and close the file."""
 
-    @abstractmethod
     def _abandon(self) -> None:
         """Close what is open, and leave the half-written file to the caller."""
+        self._file.close()
 
 
 class SinglePartWriter(MapWriter):
@@ -87,17 +90,14 @@ class SinglePartWriter(MapWriter):
         super().__init__(parts.path, parts.point_count)
         parts.create()
         self._parts = parts
-        self._part = parts.open_part(0)
+        self._file: MapPart = parts.open_part(0)
 
     def _append(self, records: Any) -> None:
-        self._part.write(records)
+        self._file.write(records)
 
     def _finish(self) -> None:
-        self._part.close()
-        self._parts.finish([self._part.summary])
-
-    def _abandon(self) -> None:
-        self._part.close()
+        self._file.close()
+        self._parts.finish([self._file.summary])
 
 
 class MapReader(ABC):
@@ -117,13 +117,14 @@ class MapReader(ABC):
     is read and written does not depend on it."""
     bytes_per_point: int = 0
     """Bytes of a record, or of the shortest, as far as that is known before it is read."""
+    seekable: bool
+    """Whether some of the rows can be read without all rows before them."""
+    sets_values: bool = False
+    """Whether `with_values` can be asked; rows of text stay as they were written."""
+    writes_parts: bool = False
+    """Whether several processes can write one output at once, see `part_writer`."""
     further: tuple[Field, ...] = ()
     """Fields that `extend` puts behind those of the file."""
-
-    @property
-    @abstractmethod
-    def seekable(self) -> bool:
-        """Whether some of the rows can be read without all rows before them."""
 
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
@@ -173,11 +174,6 @@ class MapReader(ABC):
         """
         said = self.description
         raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
-
-    @property
-    def sets_values(self) -> bool:
-        """Whether `with_values` can be asked; rows of text stay as they were written."""
-        return False
 
     def with_values(self, records: Any, values: Mapping[str, NDArray[Any]]) -> Any:
         """Return records of this reader with other values, (n,), by names that `values` takes."""
@@ -239,11 +235,6 @@ class MapReader(ABC):
         del classification
         return records
 
-    @property
-    def writes_parts(self) -> bool:
-        """Whether several processes can write one output at once, see `part_writer`."""
-        return False
-
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return what writes, in parts, the very file that `writer` writes as a stream.
 
@@ -260,7 +251,7 @@ class TextWriter(MapWriter):
 
     def __init__(self, path: Path, point_count: int, head: bytes) -> None:
         super().__init__(path, point_count)
-        self._file = create_file(path)  # closed by `_finish` and `_abandon`
+        self._file: BinaryIO = create_file(path)
         self._file.write(head)
         self._ended = True
 
@@ -273,7 +264,4 @@ class TextWriter(MapWriter):
         self._ended = text.endswith(b"\n")
 
     def _finish(self) -> None:
-        self._file.close()
-
-    def _abandon(self) -> None:
         self._file.close()

@@ -6,7 +6,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
 _ARROW_SCHEMA = b"ARROW:schema"
@@ -118,6 +118,8 @@ class ParquetReader(MapReader):
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
         self._points = points
         self.bytes_per_point = self._layout.bytes_per_row
+        # A range is read by row groups.
+        self.seekable = self._layout.group_rows <= _LONGEST_ROW_GROUP
         codecs = sorted({codec.lower() for codec in self._layout.codecs.values()})
         self.description = MapDescription(
             path=path,
@@ -127,11 +129,6 @@ class ParquetReader(MapReader):
             fields=tuple(Field(each.name, _type_name(each.type)) for each in self._schema),
             crs=_crs(stored.get(_GEO)),
         )
-
-    @property
-    def seekable(self) -> bool:
-        """Whether the row groups are short enough: a range is read by groups."""
-        return self._layout.group_rows <= _LONGEST_ROW_GROUP
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         with _opened(self._path) as file:
@@ -208,7 +205,7 @@ class _ParquetWriter(MapWriter):
         self._schema = schema
         self._gathered: list[pa.Table] = []
         self._rows = self._bytes = 0
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
         codecs = {
             column: "NONE" if codec == "UNCOMPRESSED" else codec
             for column, codec in layout.codecs.items()

@@ -1,10 +1,10 @@
 """Points on their way from a reader to whoever asks for them."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from tiling.errors import RowRangeError
 from tiling.foreign_text import LONGEST_MESSAGE, printable
 from tiling.formats.units import Units
 from tiling.grid import Grid
+
+if TYPE_CHECKING:
+    from tiling.formats.text_rows import TextRows  # compiled: takes long to import
 
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
@@ -144,6 +147,60 @@ def coordinate_names(names: Collection[str]) -> tuple[str, str, str] | None:
         if x in names and y in names and z in names:
             return x, y, z
     return None
+
+
+def longer_records(
+    records: NDArray[Any],
+    fields: Sequence[Field],
+    values: Sequence[NDArray[Any]],
+    byte_order: str = "<",
+) -> NDArray[Any]:
+    """Put values, packed in the file's byte order, behind records that are packed bytes."""
+    tail = packed(fields, values, byte_order)
+    if records.dtype != object:
+        return joined(records, tail)
+    longer = np.empty(len(tail), dtype=object)  # records of no fixed size, as bytes
+    longer[:] = [head + more.tobytes() for head, more in zip(records, tail, strict=True)]
+    return longer
+
+
+def longer_rows(
+    rows: "TextRows",
+    fields: Sequence[Field],
+    values: Sequence[NDArray[Any]],
+    separator: bytes = b" ",
+) -> "TextRows":
+    """Put values on the lines of text, in as many digits as tell them from others."""
+    columns = [
+        column.astype(field.dtype).tolist() for field, column in zip(fields, values, strict=True)
+    ]
+    words = [
+        separator.join(repr(value).encode() for value in row) for row in zip(*columns, strict=True)
+    ]
+    return rows.with_words(words, separator)
+
+
+def packed(
+    fields: Sequence[Field], values: Sequence[NDArray[Any]], byte_order: str = "<"
+) -> NDArray[Any]:
+    """Pack values of some fields into records of their own, (n,)."""
+    dtype = np.dtype([(field.name, byte_order + np.dtype(field.dtype).str[1:]) for field in fields])
+    records = np.empty(len(values[0]), dtype=dtype)
+    for field, column in zip(fields, values, strict=True):
+        records[field.name] = column
+    return records
+
+
+def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
+    """Put the bytes of each of some records before those of the record beside it, (n,)."""
+    rows = np.hstack([bytes_of(head), bytes_of(tail)])
+    return rows.view(f"V{rows.shape[1]}")[:, 0]
+
+
+def bytes_of(records: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the bytes of records, (n, size)."""
+    size = records.dtype.itemsize
+    return np.ascontiguousarray(records).view(np.uint8).reshape(len(records), size)
 
 
 def row_digests(records: Any) -> list[bytes]:

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, TextWriter
-from tiling.formats.extension import longer_rows
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.points import (
     COORDINATES,
     Field,
     MapDescription,
     PointBatch,
     coordinate_names,
+    longer_rows,
     only_rows,
 )
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, read_rows
 
 _SEPARATORS = {b";": "semicolons", b",": "commas", b"\t": "tabs", b"": "blanks"}

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.e57.scan import Scan, read_scan
 from tiling.formats.e57.tree import children, copy_tree, library, member, node, opened, write_errors
 from tiling.formats.las.crs import name_in_wkt
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
 _SIGNATURE = b"ASTM-E57"

@@ -65,16 +65,8 @@ _FIELDS = (
 # Types from code 1 on; codes 11 to 30 are pairs and triples of them, code 0 is as many bytes as
 # the options say.
 _TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
+    *("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64"),
+    *("float32", "float64"),
 )
 _DESCRIPTOR = struct.Struct("<2xBB32s156x")
 

@@ -13,9 +13,9 @@ from itertools import accumulate, pairwise
 from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import check_leftover
 from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz_header import Compression, refuse
-from tiling.formats.leftover import check_leftover
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import bytes_of, packed
+from tiling.formats.checks import check_leftover
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.fields import (
     LAST_SHORT_CLASS,
@@ -39,9 +39,8 @@ from tiling.formats.las.laz_chunks import check_chunk_count, knows_chunks
 from tiling.formats.las.laz_header import Compression, read_compression
 from tiling.formats.las.laz_writer import LazWriter
 from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
-from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch
+from tiling.formats.points import Field, MapDescription, PointBatch, bytes_of, packed
 from tiling.grid import Grid, integers_in_records
 
 
@@ -54,22 +53,14 @@ class LasReader(MapReader):
         self._header = read_header(path)
         self.bytes_per_point = self._header.record_length
         self._compression: Compression | None = None
+        self.seekable = self.writes_parts = not self._header.compressed
         if self._header.compressed:
             self._compression = read_compression(self._header)
         with path.open("rb") as file:
             notes = _check_behind_points(file, self._header, self._compression)
+            if self._compression is not None:
+                self.seekable = knows_chunks(file, self._header, self._compression)
         self.description = _describe(self._header, notes)
-
-    @property
-    def seekable(self) -> bool:
-        """Whether points are not compressed, or in chunks that can be found."""
-        return self._compression is None or self._has_known_chunks
-
-    @cached_property
-    def _has_known_chunks(self) -> bool:
-        assert self._compression is not None
-        with self._header.path.open("rb") as file:
-            return knows_chunks(file, self._header, self._compression)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield points whose `records` are (n, record_length) uint8."""
@@ -132,11 +123,6 @@ class LasReader(MapReader):
             return SinglePartWriter(self.part_writer(path, point_count))
         threads = usable_threads(self.threads)
         return LazWriter(path, point_count, self._header, self._compression, threads)
-
-    @property
-    def writes_parts(self) -> bool:
-        """Whether points are not compressed."""
-        return self._compression is None
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts of an uncompressed file; see `MapReader.part_writer`."""

@@ -16,9 +16,9 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.parts import put_records
 from tiling.formats.points import Field, coordinate_names
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 _ALIGNMENT = 64
 _LONGEST_HEADER = 10_000

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import longer_records
-from tiling.formats.leftover import check_leftover
+from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
     RowReader,
@@ -24,8 +23,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, longer_records
 
 
 class NpyReader(MapReader):

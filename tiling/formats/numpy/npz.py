@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.extension import joined, packed
-from tiling.formats.leftover import check_leftover
+from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
     RowReader,
@@ -26,8 +25,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.numpy.npy import array_fields
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, joined, packed
 from tiling.output_file import create_file
 
 _POINT_ARRAYS = ("points", "xyz", "arr_0")
@@ -197,7 +195,7 @@ class _NpzWriter(MapWriter):
         super().__init__(path, point_count)
         self._source = source
         self._members = members
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
         self._archive = zipfile.ZipFile(self._file, "w")
         self._stack = ExitStack()
         self._arrays: dict[str, tuple[BinaryIO, ArrayHeader]] = {}

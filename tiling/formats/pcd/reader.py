@@ -24,12 +24,18 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter, TextWriter
-from tiling.formats.extension import longer_records, longer_rows
-from tiling.formats.leftover import check_leftover
+from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, put_records
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
-from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
+from tiling.formats.points import (
+    Field,
+    MapDescription,
+    PointBatch,
+    longer_records,
+    longer_rows,
+    only_rows,
+)
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
 from tiling.output_file import create_file
 
@@ -59,6 +65,9 @@ class PcdReader(MapReader):
             organised = f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1."
             notes = (organised, *notes)
         self.bytes_per_point = self._header.record_size
+        # Compressed points are columns.
+        self.seekable = self.writes_parts = self._header.encoding == "binary"
+        self.sets_values = self._header.encoding != "ascii"
         self.description = MapDescription(
             path=self._path,
             format=f"PCD {self._header.encoding}",
@@ -68,11 +77,6 @@ class PcdReader(MapReader):
             notes=notes,
             viewpoint=self._header.viewpoint,
         )
-
-    @property
-    def seekable(self) -> bool:
-        """Whether the points are records of one size; compressed ones are columns."""
-        return self._header.encoding == "binary"
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         if self._header.encoding == "ascii":
@@ -88,19 +92,14 @@ class PcdReader(MapReader):
         """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
         if self._header.encoding == "ascii":
             return TextWriter(path, point_count, self._header.for_points(point_count))
-        if self._header.encoding == "binary":
+        if self.writes_parts:
             return SinglePartWriter(self.part_writer(path, point_count))
         widths = tuple(field.width for field in self._stored)
         return PcdCompressedWriter(path, point_count, self._header, widths)
 
-    @property
-    def writes_parts(self) -> bool:
-        """Whether the points are records of one size; compressed ones are columns."""
-        return self._header.encoding == "binary"
-
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
-        if self._header.encoding != "binary":
+        if not self.writes_parts:
             return super().part_writer(path, point_count)
         return PcdBinaryParts(path, point_count, self._header)
 
@@ -232,11 +231,6 @@ class PcdReader(MapReader):
         model = copy(self)
         model._header = self._header.without_viewpoint()
         return model
-
-    @property
-    def sets_values(self) -> bool:
-        """Whether the points are binary; see `MapReader.sets_values`."""
-        return self._header.encoding != "ascii"
 
     def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
         """Return the first value of a field of binary records."""

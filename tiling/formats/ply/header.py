@@ -13,8 +13,8 @@ from typing import BinaryIO
 import numpy as np
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.points import Field
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 VERTEX = "vertex"
 

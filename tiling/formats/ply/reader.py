@@ -12,12 +12,19 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import longer_records, longer_rows
-from tiling.formats.leftover import check_leftover
+from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, copy_spans, put_records
 from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply.rows import PlyRows, open_rows
-from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
+from tiling.formats.points import (
+    Field,
+    MapDescription,
+    PointBatch,
+    coordinate_names,
+    longer_records,
+    longer_rows,
+    only_rows,
+)
 from tiling.formats.text_rows import TextRows
 from tiling.output_file import create_file
 
@@ -43,6 +50,11 @@ class PlyReader(MapReader):
             raise MapFormatError(path, "vertex properties x, y and z", found, at="the header")
         self._names = names
         self.bytes_per_point = vertex.least_bytes
+        # Vertices are binary records of one size, and those of other elements before them too.
+        is_binary = self._header.encoding != "ascii"
+        before = self._header.elements[: self._header.elements.index(vertex)]
+        self.writes_parts = self.sets_values = is_binary and vertex.is_fixed
+        self.seekable = self.writes_parts and all(each.is_fixed for each in before)
         self._check_size()
         notes = self._check_what_is_known()
         self.description = MapDescription(
@@ -60,13 +72,6 @@ class PlyReader(MapReader):
                 *notes,
             ),
         )
-
-    @property
-    def seekable(self) -> bool:
-        """Whether the vertices are binary records of one size, with none of unknown size before."""
-        elements = self._header.elements
-        before = elements[: elements.index(self._header.vertex) + 1]
-        return self._header.encoding != "ascii" and all(each.is_fixed for each in before)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         if self.seekable or not rows.start:
@@ -104,21 +109,11 @@ class PlyReader(MapReader):
         column = names.index(name)
         return cast(TextRows, records).column(column, vertex.properties[column].dtype)
 
-    @property
-    def sets_values(self) -> bool:
-        """Whether the vertices are binary records of one size."""
-        return self.writes_parts
-
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a PLY file like this one; see `MapReader.writer`."""
         if self.writes_parts:
             return SinglePartWriter(self.part_writer(path, point_count))
         return _PlyWriter(path, point_count, self._header, self._kept_elements())
-
-    @property
-    def writes_parts(self) -> bool:
-        """Whether the vertices are binary records of one size."""
-        return self._header.encoding != "ascii" and self._header.vertex.is_fixed
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
@@ -230,7 +225,7 @@ class _PlyWriter(MapWriter):
         super().__init__(path, point_count)
         self._is_text = header.encoding == "ascii"
         self._kept = kept
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
         self._file.write(header.encode(point_count))
         copy_spans(kept.source, self._file, kept.before)
 
@@ -239,9 +234,6 @@ class _PlyWriter(MapWriter):
 
     def _finish(self) -> None:
         copy_spans(self._kept.source, self._file, self._kept.after)
-        self._file.close()
-
-    def _abandon(self) -> None:
         self._file.close()
 
 
