@@ -124,10 +124,8 @@ class MapCollection:
 
     Raises
     ------
-    NoMapError
-        When there are no files.
     MapFormatError
-        When a file is not a map that can be read.
+        When a file is not a map that can be read; `NoMapError` when there are none.
     """
 
     def __init__(

@@ -7,7 +7,6 @@ ranges of the file can be read side by side, even where those of the map cannot.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -132,11 +131,8 @@ class KeptPoints:
     def _expected(self) -> str:
         return f"{self.collection.point_count} points as they were decoded"
 
-    @contextmanager
-    def _opened(self, how: Callable[[Path], BinaryIO]) -> Iterator[BinaryIO]:
+    def _opened(self, how: Callable[[Path], BinaryIO]) -> BinaryIO:
         try:
-            stream = how(self.path)
+            return how(self.path)
         except FileNotFoundError:
             raise ChunkError(self.path, self._expected, "no such file") from None
-        with stream:
-            yield stream

@@ -50,12 +50,7 @@ def find_chunks(path: Path) -> Chunks:
 
 
 def check_pages(path: Path, chunks: Iterable[tuple[int, int]]) -> None:
-    """Refuse pages that say they are larger than the file, or than `LARGEST_PAGE`.
-
-    Raises
-    ------
-    MapFormatError
-    """
+    """Refuse pages that say they are larger than the file, or than `LARGEST_PAGE`."""
     with path.open("rb", buffering=0) as file:
         size = path.stat().st_size
         for start, stop in chunks:

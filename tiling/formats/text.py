@@ -155,13 +155,7 @@ class TextReader(MapReader):
 
 
 def read_head(path: Path) -> TextHead:
-    """Read what stands before the first point, and find out how the points are written.
-
-    Raises
-    ------
-    MapFormatError
-        When no row of numbers follows.
-    """
+    """Read what stands before the first point, and find out how the points are written."""
     lines: list[bytes] = []
     count_line = names_line = layout = None
     with path.open("rb") as stream:

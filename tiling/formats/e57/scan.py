@@ -89,13 +89,7 @@ class Scan:
 
 
 def read_scan(scan: Any, number_of_scan: int, path: Path, size: int) -> Scan:
-    """Read what a file says of a scan.
-
-    Raises
-    ------
-    MapFormatError
-        When its points have no coordinates, or cannot be as many as it says.
-    """
+    """Read what a file says of a scan; one without coordinates, or too many points, is refused."""
     name = f"scan {number_of_scan + 1}"
     points = member(scan, "points")
     if points is None or not hasattr(points, "prototype"):

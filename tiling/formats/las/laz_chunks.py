@@ -43,10 +43,7 @@ def find_chunks(
 ) -> Iterator[Chunk]:
     """Yield the chunks that hold some rows, each checked before it meets a decompressor.
 
-    Raises
-    ------
-    MapFormatError
-        When chunks or layers contradict the file's size.
+    Chunks and layers that contradict the file's size are refused.
     """
     if not rows:
         return
@@ -78,14 +75,9 @@ def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) ->
 
 
 def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compression) -> None:
-    """Check that the chunks are for the points that the header counts, and for no more.
+    """Refuse chunks for more points than the header counts.
 
     Where points are not in layers, the last chunk does not say how many it has.
-
-    Raises
-    ------
-    MapFormatError
-        When there are more points in them.
     """
     count, size = header.point_count, compression.chunk_size
     try:

@@ -172,10 +172,7 @@ def organised_note(header: ArrayHeader) -> str:
 def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> ArrayHeader:
     """Read the header that `stream` begins with, and leave it before the values.
 
-    Raises
-    ------
-    MapFormatError
-        When it is not the header of an array; in the message it is called `name`.
+    What is not the header of an array is refused; in the message it is called `name`.
     """
     magic = npy.magic(1, 0)[:-2]
     start = stream.read(len(magic) + 2)

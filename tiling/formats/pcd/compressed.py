@@ -221,24 +221,25 @@ class ColumnSpool:
     def write_points(self, first_row: int, records: NDArray[np.void]) -> None:
         """Put the records of consecutive points into their columns."""
         rows = records.view(np.uint8).reshape(len(records), -1)
-        start = column = 0
-        for width in self._widths:
-            self._file.seek(column + first_row * width)
-            self._write(rows[:, start : start + width].tobytes())
-            start += width
-            column += width * self._point_count
+        for part in self._columns(first_row):
+            self._write(rows[:, part].tobytes())
 
     def read_points(self, first_row: int, count: int) -> NDArray[np.void]:
         """Gather the records of consecutive points from their columns."""
         rows = np.empty((count, sum(self._widths)), dtype=np.uint8)
-        start = column = 0
-        for width in self._widths:
-            self._file.seek(column + first_row * width)
+        for part in self._columns(first_row):
+            width = part.stop - part.start
             values = np.frombuffer(self._file.read(count * width), dtype=np.uint8)
-            rows[:, start : start + width] = values.reshape(count, width)
-            start += width
-            column += width * self._point_count
+            rows[:, part] = values.reshape(count, width)
         return rows.view(f"V{rows.shape[1]}")[:, 0]
+
+    def _columns(self, first_row: int) -> Iterator[slice]:
+        """Go to a row of each column in turn; yield the bytes of a record that are in it."""
+        start = 0
+        for width in self._widths:
+            self._file.seek(start * self._point_count + first_row * width)
+            yield slice(start, start + width)
+            start += width
 
     def close(self) -> None:
         """Remove the file."""

@@ -175,9 +175,8 @@ def read_header(file: BinaryIO, path: Path) -> PlyHeader:
         if parser.ended:
             break
     if not parser.ended:
-        raise MapFormatError(
-            path, f"end_header within {_LONGEST_HEADER} bytes", "none", at=f"line {len(lines)}"
-        )
+        expected = f"end_header within {_LONGEST_HEADER} bytes"
+        raise MapFormatError(path, expected, "none", at=f"line {len(lines)}")
     return PlyHeader(
         encoding=parser.encoding,
         line_end=line_end,
