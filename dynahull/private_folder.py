@@ -1,7 +1,4 @@
-"""Folders that code may be loaded from: nobody but this user can have put anything there.
-
-`dynahull` and `tiling`, which know nothing of each other, have the same text here.
-"""
+"""Folders that code may be loaded from: nobody but this user can have put anything there."""
 
 import os
 import stat

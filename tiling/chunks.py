@@ -79,17 +79,23 @@ class ChunkStore:
         """Make the folder, and write what `open` reads."""
         self.make()
         with atomic_file(self.folder / _STORE_FILE) as temporary:
-            temporary.write_text(self._description(), encoding="utf-8")
+            temporary.write_text(
+                json.dumps(
+                    {
+                        "halo": self.halo,
+                        "point_count": self.point_count,
+                        "format": self.format,
+                        "grid": self.grid and [self.grid.scales, self.grid.offsets],
+                        "max_points": self.max_points,
+                        "layout": self.layout.to_json(),
+                    }
+                ),
+                encoding="utf-8",
+            )
 
     @classmethod
     def open(cls, folder: Path) -> "ChunkStore":
-        """Open the store of a folder.
-
-        Raises
-        ------
-        ChunkError
-            When there is none.
-        """
+        """Open the store of a folder; a `ChunkError` says that there is none."""
         path = folder / _STORE_FILE
         try:
             stored = json.loads(path.read_text(encoding="utf-8"))
@@ -104,18 +110,6 @@ class ChunkStore:
             stored["format"],
             None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
             stored["max_points"],
-        )
-
-    def _description(self) -> str:
-        return json.dumps(
-            {
-                "halo": self.halo,
-                "point_count": self.point_count,
-                "format": self.format,
-                "grid": None if self.grid is None else [self.grid.scales, self.grid.offsets],
-                "max_points": self.max_points,
-                "layout": self.layout.to_json(),
-            }
         )
 
     def chunk_path(self, tile: int) -> Path:
@@ -297,13 +291,8 @@ def _grids_within(survey: Survey) -> Iterator[Grid]:
     ends = np.array([survey.minimum, survey.maximum])
     middle = np.floor(ends[0] / 2 + ends[1] / 2)
     for scale in _SCALES:
-        for offset in (np.zeros(3), middle):
-            grid = Grid((scale,) * 3, _triple(offset))
+        for x, y, z in ([0.0] * 3, middle.tolist()):
+            grid = Grid((scale,) * 3, (x, y, z))
             if grid.reaches(ends):
                 yield grid
                 break
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -37,14 +37,13 @@ def find_map_files(arguments: Sequence[Path | str], as_one: bool = True) -> tupl
     Parameters
     ----------
     arguments : sequence of Path or str
-        Each is a file; or a folder, which means the scans in it where these have poses
-        (`tiling.key_frames`), and else the maps directly in it, and in its partitions
-        (folders called `key=value`, as Spark writes them, at any depth); or a pattern
-        (`*`, `?`, `[...]`, and `**` for folders at any depth), which means the maps it matches.
-        What exists by that very name is never taken for a pattern. A file named outright is
-        returned whatever its suffix; in folders and patterns, hidden files and those without a
-        suffix of `MAP_SUFFIXES` are passed over, and so are those with one of `OTHERS_TOO` where
-        there are maps with another, or where each map of a folder is one of its own.
+        Each is a file, whatever its suffix; or a folder, which means the scans in it where these
+        have poses (`tiling.key_frames`), and else the maps directly in it, and in its partitions
+        (folders called `key=value`, as Spark writes them, at any depth); or a pattern (`*`, `?`,
+        `[...]`, and `**` for folders at any depth), unless there is something of that very name.
+        In folders and patterns, hidden files and those without a suffix of `MAP_SUFFIXES` are
+        passed over, and so are those with one of `OTHERS_TOO` where there are maps with another,
+        or where each map of a folder is one of its own.
     as_one : bool
         Whether together they are one map: a folder of several maps of one place is refused, and
         the scans of a folder may lie in one within it.
@@ -78,19 +77,10 @@ def find_map_files(arguments: Sequence[Path | str], as_one: bool = True) -> tupl
 
 
 def content_hash(paths: Sequence[Path], advance: Callable[[int], None] | None = None) -> str:
-    """Hash the bytes of files, one after the other, in one digest.
+    """Hash the bytes of files, whose names do not matter but whose order and sizes do.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The files, whose names do not matter but whose order and sizes do.
-    advance : callable, optional
-        Told of the bytes of each block that was hashed; what it raises ends the hashing.
-
-    Returns
-    -------
-    str
-        SHA-256 in hexadecimal; for a single file, the one that `sha256sum` prints.
+    Returns SHA-256 in hexadecimal; for a single file, the one that `sha256sum` prints. `advance` is
+    told of the bytes of each block that was hashed; what it raises ends the hashing.
     """
     digest = hashlib.sha256()
     for number, path in enumerate(paths):
@@ -125,8 +115,6 @@ class MapCollection:
         One for each file.
     first_rows : tuple of int
         For each file, the row number in the whole map of its first point.
-    point_count : int
-        Points in all files.
     metres : (3,) float64 array or None
         What coordinates are multiplied by on their way out, so that they are metres; None where
         they are as they are in the files. Records never change.
@@ -136,10 +124,8 @@ class MapCollection:
 
     Raises
     ------
-    NoMapError
-        When there are no files.
     MapFormatError
-        When a file is not a map that can be read.
+        When a file is not a map that can be read; `NoMapError` when there are none.
     """
 
     def __init__(
@@ -198,28 +184,14 @@ class MapCollection:
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
     ) -> Iterator[tuple[int, PointBatch]]:
-        """Yield points of the map, in order, at most `max_points` at a time.
-
-        Parameters
-        ----------
-        max_points : int
-            Points in a batch.
-        rows : range, optional
-            Consecutive row numbers, in the whole map, of the points wanted; otherwise all.
+        """Yield points of the map, in order, as `MapReader.batches` does.
 
         Yields
         ------
         file : int
             Index into `readers` of the file that the batch comes from; no batch spans two.
         batch : PointBatch
-            Its `first_row` counts from the first point of the whole map.
-
-        Raises
-        ------
-        RowRangeError
-            When the map has no such rows.
-        MapFormatError
-            When the points of a file are not what its header announced.
+            Its `first_row` counts from the first point of the whole map, as `rows` do.
         """
         rows = checked_rows(self.name, rows, self.point_count)
         for file in self.files_of(rows):
@@ -240,28 +212,17 @@ class MapCollection:
         return batch if xyz is batch.xyz else replace(batch, xyz=xyz)
 
     def files_of(self, rows: range) -> range:
-        """Return the files, by index, that consecutive rows of the whole map come from.
-
-        Files without a point may be among them.
-        """
+        """Return the files, by index, that rows of the whole map come from; some may be empty."""
         if not rows:
             return range(0)
         first = bisect_right(self.first_rows, rows.start) - 1
         return range(first, bisect_left(self.first_rows, rows.stop))
 
     def row_ranges(self, max_points: int) -> list[range]:
-        """Cut the map into row ranges that several workers can read side by side.
+        """Cut all rows into consecutive ranges that several workers can read side by side.
 
-        Parameters
-        ----------
-        max_points : int
-            Points in a range, at most, where that is possible: a file that can only be read from
-            its beginning is in one range as a whole.
-
-        Returns
-        -------
-        list of range
-            Consecutive and not empty; together all rows.
+        They have at most `max_points` where that is possible: a file that can only be read from its
+        beginning is in one range as a whole.
         """
         ranges: list[range] = []
         for reader, first_row in zip(self.readers, self.first_rows, strict=True):

@@ -5,7 +5,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-from tiling.private_folder import private_folder
+import tiling
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -13,12 +13,11 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(function: Function) -> Function:
     """Compile a function on its first call, and keep the machine code for later processes.
 
-    The code is kept in a folder that is the user's alone, see `tiling.private_folder`. Where there
-    is none (an installed container image run by a user with no home), each process compiles anew.
+    It is kept in a folder that is the user's alone, see `tiling.code_folder`, where there is one.
     """
     config: Any = numba.config
     before = config.CACHE_DIR
-    folder = private_folder("formats", str(before))
+    folder = tiling.code_folder("formats", str(before)) if tiling.code_folder else None
     config.CACHE_DIR = before if folder is None else str(folder)  # numba looks at it here
     try:
         return cast(Function, numba.njit(cache=folder is not None, nogil=True)(function))

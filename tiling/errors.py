@@ -58,8 +58,6 @@ class PartsError(TilingError):
     """An output was to be written in parts whose format does not allow it."""
 
     def __init__(self, path: Path, format: str) -> None:
-        self.path = path
-        self.format = format
         name = printable_path(path)
         super().__init__(f"{name}: expected a map with records of one size, found {format}")
 
@@ -68,8 +66,6 @@ class RowRangeError(TilingError):
     """Rows were asked for that a map does not have."""
 
     def __init__(self, name: str, rows: range, point_count: int) -> None:
-        self.rows = rows
-        self.point_count = point_count
         expected = f"expected consecutive rows from 0 to {point_count}"
         super().__init__(f"{printable_path(name)}: {expected}, found {rows}")
 
@@ -78,8 +74,6 @@ class NoMapError(TilingError):
     """The files, folders or patterns given name no map."""
 
     def __init__(self, argument: str, found: str) -> None:
-        self.argument = argument
-        self.found = found
         expected = "expected a map, a folder of maps or a pattern"
         super().__init__(f"{printable_path(argument)}: {expected}, found {printable(found)}")
 
@@ -96,7 +90,6 @@ class GridError(TilingError):
     """Coordinates are on no grid that LAS can keep: they would not come back as they are."""
 
     def __init__(self, name: str, xyz: "NDArray[np.float64]") -> None:
-        self.xyz = xyz
         point = ", ".join(repr(value) for value in xyz.tolist())
         super().__init__(
             f"{printable_path(name)}: expected coordinates that LAS gives back as integer * scale "

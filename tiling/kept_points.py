@@ -7,7 +7,6 @@ ranges of the file can be read side by side, even where those of the map cannot.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -59,13 +58,7 @@ class KeptPoints:
         make_sized(self.path, self.size)
 
     def keep(self, batches: Iterator[tuple[int, PointBatch]]) -> Iterator[PointBatch]:
-        """Write points of `MapCollection.batches` as they pass; they are on the disk at the end.
-
-        Raises
-        ------
-        ChunkError
-            When the file is not there.
-        """
+        """Write points of `MapCollection.batches` as they pass; they are on the disk at the end."""
         with self._opened(write_only) as stream:
             for file, batch in batches:
                 stream.seek(self._place(file, batch.first_row))
@@ -78,12 +71,8 @@ class KeptPoints:
     def batches(self, max_points: int, rows: range) -> Iterator[tuple[int, PointBatch]]:
         """Yield the points of a range of rows, in order, as `MapCollection.batches` does.
 
-        They have no records where these are not kept.
-
-        Raises
-        ------
-        ChunkError
-            When the file is not there, or not of its size.
+        They have no records where these are not kept. A `ChunkError` says that the file is not
+        there, or not of its size.
         """
         with self._opened(lambda path: path.open("rb")) as stream:
             for file in self.collection.files_of(rows):
@@ -142,11 +131,8 @@ class KeptPoints:
     def _expected(self) -> str:
         return f"{self.collection.point_count} points as they were decoded"
 
-    @contextmanager
-    def _opened(self, how: Callable[[Path], BinaryIO]) -> Iterator[BinaryIO]:
+    def _opened(self, how: Callable[[Path], BinaryIO]) -> BinaryIO:
         try:
-            stream = how(self.path)
+            return how(self.path)
         except FileNotFoundError:
             raise ChunkError(self.path, self._expected, "no such file") from None
-        with stream:
-            yield stream

@@ -43,28 +43,19 @@ Frame = Literal["auto", "sensor", "map"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPoses:
-    """Where the sensor was, and where it looked.
-
-    Attributes
-    ----------
-    poses : (n, 3, 4) float64 array
-        From the sensor's frame to the map's, metres; in the order of time.
-    are_applied : bool
-        Whether the points are in the map's frame already.
-    are_of_files : bool
-        Whether each file of the map is one of the scans, or keeps some apart; else the map's points
-        tell their scans.
-    times : (n,) float64 array or None
-        Seconds, where they are told.
-    counts : (n,) int64 array or None
-        Points of each scan, where files keep several apart.
-    """
+    """Where the sensor was, and where it looked."""
 
     poses: Matrices
+    """(n, 3, 4): from the sensor's frame to the map's, metres; in the order of time."""
     are_applied: bool = False
+    """Whether the points are in the map's frame already."""
     are_of_files: bool = True
+    """Whether each file of the map is one of the scans, or keeps some apart; else the map's points
+    tell their scans."""
     times: NDArray[np.float64] | None = None
+    """(n,): seconds, where they are told."""
     counts: NDArray[np.int64] | None = None
+    """(n,): points of each scan, where files keep several apart."""
 
     def hashed(self, digest: str = "") -> str:
         """Return the hash of the poses and of a digest, in hexadecimal."""
@@ -104,8 +95,6 @@ def find_poses(
 
     Parameters
     ----------
-    readers : sequence of MapReader
-        Of the files.
     given : Path, optional
         A file of poses, see `read_poses`, in the place of what lies beside the scans; or those of
         the scans that a map was made of, where its files are not these scans.

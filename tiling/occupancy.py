@@ -10,8 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.compiled import compiled, helper
-
 FINEST_CELL = 0.25
 """Side of a column of the occupancy lattice, metres, before any coarsening."""
 
@@ -46,19 +44,10 @@ class Occupancy:
 
 
 def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
-    """Return the lattice column of each point: floor(x / cell), floor(y / cell).
+    """Return the lattice column of each point, (n, 2): floor(x / cell), floor(y / cell).
 
-    Parameters
-    ----------
-    xyz : (n, 3) float64 array
-        Finite coordinates, metres.
-    cell : float
-        Side of a column, metres; a power of two, so that the division is exact.
-
-    Returns
-    -------
-    (n, 2) int64 array
-        Points beyond `FARTHEST` are in the column at the edge.
+    Coordinates are finite, (n, 3); the cell is a power of two, so that the division is exact.
+    Points beyond `FARTHEST` are in the column at the edge.
     """
     return np.floor(np.clip(xyz[:, :2], -FARTHEST, FARTHEST) / cell).astype(np.int64)
 
@@ -70,9 +59,15 @@ def count_within(
 
     The boxes are low <= x, y < high, (n, 2), metres; they may be infinite.
     """
-    totals = np.append(0, np.cumsum(occupancy.counts))
     begins, ends = (_first_columns(edge, occupancy.cell) for edge in (low, high))
-    return np.asarray(_sums_within(occupancy.columns, totals, begins, ends))
+    # Those of one x are a run of columns, in the order of y.
+    firsts, lasts = (np.searchsorted(occupancy.columns[:, 0], x[:, 0]) for x in (begins, ends))
+    sums = np.zeros(len(low), np.int64)
+    for box, (first, last) in enumerate(zip(firsts, lasts, strict=True)):
+        y = occupancy.columns[first:last, 1]
+        inside = (y >= begins[box, 1]) & (y < ends[box, 1])
+        sums[box] = occupancy.counts[first:last][inside].sum()
+    return sums
 
 
 def _first_columns(edge: NDArray[np.float64], cell: float) -> Columns:
@@ -86,15 +81,11 @@ class ColumnCounter:
 
     The result depends on the points alone, not on their order: the columns that some of the
     points occupy are never more than those of all. Its memory is bounded by `MOST_COLUMNS`.
-
-    Attributes
-    ----------
-    cell : float
-        Side of a column at present, metres.
     """
 
     def __init__(self, cell: float = FINEST_CELL) -> None:
         self.cell = cell
+        """Side of a column at present, metres."""
         self._parts = [Occupancy(cell, np.empty((0, 2), np.int64), np.empty(0, np.int64))]
 
     def add_points(self, xyz: NDArray[np.float64]) -> None:
@@ -129,38 +120,3 @@ def _summed(parts: Sequence[Occupancy], cell: float) -> Occupancy:
     starts = np.flatnonzero((np.diff(columns, axis=0, prepend=columns[:1] - 1) != 0).any(axis=1))
     sums = np.add.reduceat(counts, starts) if len(starts) else counts
     return Occupancy(cell, columns.take(starts, axis=0), sums)
-
-
-@compiled
-def _sums_within(
-    columns: Columns, totals: NDArray[np.int64], begins: Columns, ends: Columns
-) -> NDArray[np.int64]:
-    """Sum the counts of the columns in boxes, (B, 2); `totals` are those before each column."""
-    sums = np.zeros(len(begins), np.int64)
-    for box in range(len(begins)):
-        low, high = begins[box, 1], ends[box, 1]
-        place = _first_from(columns, begins[box, 0], low)
-        # One line of columns after the other: those of an x are a run, in the order of y.
-        while place < len(columns) and columns[place, 0] < ends[box, 0] and low < high:
-            x = columns[place, 0]
-            first = _first_from(columns, x, low)
-            end = _first_from(columns, x, high)
-            sums[box] += totals[end] - totals[first]
-            place = end
-            if place < len(columns) and columns[place, 0] == x:
-                place = _first_from(columns, x + 1, low)
-    return sums
-
-
-@helper
-def _first_from(columns: Columns, x: np.int64, y: np.int64) -> int:
-    """Return the first column at or after (x, y) in lexicographic order."""
-    low, high = 0, len(columns)
-    while low < high:
-        middle = (low + high) // 2
-        before = columns[middle, 0] < x or (columns[middle, 0] == x and columns[middle, 1] < y)
-        if before:
-            low = middle + 1
-        else:
-            high = middle
-    return low

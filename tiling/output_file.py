@@ -29,7 +29,8 @@ _folder: ContextVar[Path | None] = ContextVar("output folder", default=None)
 def writing_only_into(folder: Path) -> Iterator[None]:
     """Refuse, in this block, to open a file for writing that lies outside a folder.
 
-    Places are compared as the system resolves them, links and `..` included.
+    Places are compared as the system resolves them, links and `..` included. What is refused is a
+    `PermissionError`.
     """
     token = _folder.set(folder.resolve())
     try:
@@ -39,13 +40,7 @@ def writing_only_into(folder: Path) -> Iterator[None]:
 
 
 def check_place(path: Path) -> None:
-    """Check that a file lies where this block may write, see `writing_only_into`.
-
-    Raises
-    ------
-    PermissionError
-        When it does not.
-    """
+    """Check that a file lies where this block may write, see `writing_only_into`."""
     folder = _folder.get()
     if folder is not None and not path.parent.resolve().is_relative_to(folder):
         raise PermissionError(errno.EPERM, f"lies outside the output folder, {folder}", str(path))
@@ -54,19 +49,26 @@ def check_place(path: Path) -> None:
 def create_file(path: Path) -> BinaryIO:
     """Open a new file to be written, and read again.
 
-    Outside a block of `writing_only_into`, an earlier file or link of this name makes way for it.
-
-    Raises
-    ------
-    FileExistsError
-        When there is something of this name.
-    PermissionError
-        When it lies outside the folder that is written into.
+    Outside a block of `writing_only_into`, an earlier file or link of this name makes way for it;
+    inside, a `FileExistsError` says that there is one.
     """
+    _make_way(path)
+    return path.open("x+b")
+
+
+def create_shared(path: Path) -> BinaryIO:
+    """Open a new file, as `create_file` does, that several processes will fill in.
+
+    It is to write what is known of it already.
+    """
+    _make_way(path)
+    return cast(BinaryIO, BufferedWriter(NotedFile(path, "xb")))
+
+
+def _make_way(path: Path) -> None:
     check_place(path)
     if _folder.get() is None:
         path.unlink(missing_ok=True)
-    return path.open("x+b")
 
 
 def write_only(path: Path) -> BinaryIO:
@@ -75,11 +77,6 @@ def write_only(path: Path) -> BinaryIO:
     Not to be read from: NFS then sends the very bytes that were written. Of a file that may be
     read as well it reads, and later writes back, whole pages, and so undoes what other machines
     wrote there.
-
-    Raises
-    ------
-    PermissionError
-        When it lies outside the folder that is written into.
     """
     check_place(path)
     return cast(BinaryIO, BufferedWriter(NotedFile(path, "wb", opener=_as_it_is)))
@@ -89,28 +86,8 @@ def _as_it_is(path: str, flags: int) -> int:
     return os.open(path, flags & ~(os.O_CREAT | os.O_TRUNC) | os.O_NOFOLLOW)
 
 
-def create_shared(path: Path) -> BinaryIO:
-    """Open a new file that several processes will fill in, to write what is known of it already.
-
-    Raises
-    ------
-    FileExistsError, PermissionError
-        As `create_file`.
-    """
-    check_place(path)
-    if _folder.get() is None:
-        path.unlink(missing_ok=True)
-    return cast(BinaryIO, BufferedWriter(NotedFile(path, "xb")))
-
-
 def make_sized(path: Path, size: int) -> None:
-    """Make a file of some size, or give an earlier one that size; what is missing is zero.
-
-    Raises
-    ------
-    PermissionError
-        When it lies outside the folder that is written into.
-    """
+    """Make a file of some size, or give an earlier one that size; what is missing is zero."""
     check_place(path)
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     with os.fdopen(handle, "ab") as file:

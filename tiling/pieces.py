@@ -29,15 +29,7 @@ class PointSource(Protocol):
 def sort_by_tile(
     store: ChunkStore, source: PointSource, rows: range
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return a piece of consecutive rows of the map: points, (n, 4), and runs, (R, 3).
-
-    Raises
-    ------
-    RowRangeError
-        When the map has no such rows.
-    MapFormatError
-        When a file of the map is not what its header announced.
-    """
+    """Return a piece of consecutive rows of the map: points, (n, 4), and runs, (R, 3)."""
     sorter = TileSorter(store.layout, store.halo)
     sorted_points, runs, written = [np.empty((0, 4))], [np.empty((0, 3), np.int64)], 0
     for _, batch in source.batches(DEFAULT_BATCH, rows):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tiling.collection import MapCollection
 from tiling.formats.base import MapReader
-from tiling.formats.points import MapDescription, coordinate_names
+from tiling.formats.points import coordinate_names
 
 COARSE = 0.01
 """Metres. The method measures the room that 75 neighbours take, which are centimetres apart: a
@@ -55,7 +55,11 @@ def coarse_step_notes(
     for reader in collection.readers:
         for axis, step, why in _coarse_steps(reader, place / unit, unit):
             found.setdefault((step, why), {})[axis] = None
-    return [_sentence(list(axes), step, why) for (step, why), axes in found.items()]
+    return [
+        f"The file keeps {', '.join(axes)} in steps of {step:.3g} m ({why}): neighbours are "
+        "centimetres apart, so densities show the steps more than the surfaces."
+        for (step, why), axes in found.items()
+    ]
 
 
 def _coarse_steps(
@@ -68,7 +72,8 @@ def _coarse_steps(
             if abs(scale) * size > COARSE:
                 yield axis, abs(scale) * size, "the scale in its header"
         return
-    kinds = _types(description)
+    types = {field.name: field.dtype for field in reversed(description.fields)}
+    kinds = [types[name] for name in coordinate_names(types) or ()] or [""] * 3
     for axis, kind, distance, size in zip("xyz", kinds, place.tolist(), unit.tolist(), strict=True):
         if kind not in _SHORT_FLOATS:
             continue
@@ -76,11 +81,6 @@ def _coarse_steps(
             step = size * float(np.spacing(np.dtype(kind).type(distance)))
         if step > COARSE and _is_rounded(reader, kind):
             yield axis, step, f"{kind} at {distance:,.0f} m from the origin"
-
-
-def _types(description: MapDescription) -> list[str]:
-    kinds = {field.name: field.dtype for field in reversed(description.fields)}
-    return [kinds[name] for name in coordinate_names(kinds) or ()] or [""] * 3
 
 
 def _is_rounded(reader: MapReader, kind: str) -> bool:
@@ -92,10 +92,3 @@ def _is_rounded(reader: MapReader, kind: str) -> bool:
         return False
     finite = first.xyz[np.isfinite(first.xyz).all(axis=1)]
     return bool((finite.astype(kind) == finite).all())
-
-
-def _sentence(axes: list[str], step: float, why: str) -> str:
-    return (
-        f"The file keeps {', '.join(axes)} in steps of {step:.3g} m ({why}): neighbours are "
-        "centimetres apart, so densities show the steps more than the surfaces."
-    )

@@ -69,15 +69,7 @@ class Survey:
 
 
 def survey(collection: MapCollection, rows: range | None = None) -> Survey:
-    """Survey a map, or some consecutive rows of it.
-
-    Raises
-    ------
-    RowRangeError
-        When the map has no such rows.
-    MapFormatError
-        When a file is not what its header announced.
-    """
+    """Survey a map, or some consecutive rows of it; see `MapCollection.batches` for errors."""
     return survey_batches(batch for _, batch in collection.batches(rows=rows))
 
 

@@ -120,11 +120,6 @@ def test_no_cache_is_looked_for_in_the_current_folder(places, tmp_path, monkeypa
     assert not (tmp_path / "relative").exists()
 
 
-def test_both_packages_have_the_same_text():
-    texts = [ROOT / package / "private_folder.py" for package in ("dynahull", "tiling")]
-    assert texts[0].read_bytes() == texts[1].read_bytes()
-
-
 @pytest.mark.parametrize("package", ["dynahull", "tiling", "pipeline"])
 def test_nothing_else_lets_numba_choose_where_code_is_kept(package):
     for path in (ROOT / package).rglob("*.py"):

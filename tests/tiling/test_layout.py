@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiling.formats import PointBatch
-from tiling.layout import NO_TILE, Layout, morton_before, morton_order, quadtree
+from tiling.layout import NO_TILE, Layout, morton_order, quadtree
 from tiling.occupancy import columns_of, count_within
 from tiling.survey import survey_batches
 
@@ -131,7 +131,3 @@ def test_the_z_curve_takes_the_bits_in_turn(columns):
 
     order = morton_order(np.array(columns, dtype=np.int64))
     assert [key(*columns[place]) for place in order] == sorted(key(*each) for each in columns)
-    for first in columns:
-        for second in columns:
-            before = morton_before(*map(np.int64, (*first, *second)))
-            assert before == (key(*first) < key(*second))

@@ -89,15 +89,7 @@ def open_map(path: Path, threads: int = 1) -> MapReader:
 def field_values(path: Path, name: str) -> Iterator[NDArray[np.generic]]:
     """Yield the values of one field, in the order of the points, as arrays that follow each other.
 
-    Parameters
-    ----------
-    name : str
-        A field with one number a point, as the file names it.
-
-    Yields
-    ------
-    (n,) array
-        Of numbers or booleans.
+    They are (n,) arrays of numbers or booleans, of a field that has one of these a point.
 
     Raises
     ------

@@ -9,13 +9,13 @@ output bit for bit.
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError, PartsError, PointCountError
-from tiling.formats.parts import PartWriter
+from tiling.formats.parts import MapPart, PartWriter
 from tiling.formats.points import (
     DEFAULT_BATCH,
     Field,
@@ -36,6 +36,9 @@ class MapWriter(ABC):
     A context manager: leaving it without an error finishes the file, and refuses one that holds
     another number of points than promised.
     """
+
+    _file: BinaryIO | MapPart
+    """What is open."""
 
     def __init__(self, path: Path, point_count: int) -> None:
         self.path = path
@@ -75,9 +78,9 @@ class MapWriter(ABC):
     def _finish(self) -> None:
         """Write what follows the points, and close the file."""
 
-    @abstractmethod
     def _abandon(self) -> None:
         """Close what is open, and leave the half-written file to the caller."""
+        self._file.close()
 
 
 class SinglePartWriter(MapWriter):
@@ -87,17 +90,14 @@ class SinglePartWriter(MapWriter):
         super().__init__(parts.path, parts.point_count)
         parts.create()
         self._parts = parts
-        self._part = parts.open_part(0)
+        self._file: MapPart = parts.open_part(0)
 
     def _append(self, records: Any) -> None:
-        self._part.write(records)
+        self._file.write(records)
 
     def _finish(self) -> None:
-        self._part.close()
-        self._parts.finish([self._part.summary])
-
-    def _abandon(self) -> None:
-        self._part.close()
+        self._file.close()
+        self._parts.finish([self._file.summary])
 
 
 class MapReader(ABC):
@@ -117,14 +117,14 @@ class MapReader(ABC):
     is read and written does not depend on it."""
     bytes_per_point: int = 0
     """Bytes of a record, or of the shortest, as far as that is known before it is read."""
-
-    @property
-    @abstractmethod
-    def seekable(self) -> bool:
-        """Whether some of the rows can be read without all rows before them.
-
-        Then a range costs in proportion to its length.
-        """
+    seekable: bool
+    """Whether some of the rows can be read without all rows before them."""
+    sets_values: bool = False
+    """Whether `with_values` can be asked; rows of text stay as they were written."""
+    writes_parts: bool = False
+    """Whether several processes can write one output at once, see `part_writer`."""
+    further: tuple[Field, ...] = ()
+    """Fields that `extend` puts behind those of the file."""
 
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
@@ -165,14 +165,7 @@ class MapReader(ABC):
         raise NotImplementedError(f"{self.description.format}: records of no fixed size")
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
-        """Return one field of some points, (n,), as the file has it.
-
-        Parameters
-        ----------
-        records : opaque
-            Of a batch of this reader.
-        name : str
-            A field with one value a point, by its name in the description.
+        """Return a field with one value a point, (n,), of records of this reader, as stored.
 
         Raises
         ------
@@ -182,21 +175,8 @@ class MapReader(ABC):
         said = self.description
         raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
 
-    @property
-    def sets_values(self) -> bool:
-        """Whether `with_values` can be asked; rows of text stay as they were written."""
-        return False
-
     def with_values(self, records: Any, values: Mapping[str, NDArray[Any]]) -> Any:
-        """Return the records of some points with other values of some fields.
-
-        Parameters
-        ----------
-        records : opaque
-            Of a batch of this reader.
-        values : mapping of str to (n,) array
-            By names that `values` takes.
-        """
+        """Return records of this reader with other values, (n,), by names that `values` takes."""
         records = records.copy()
         with np.errstate(over="ignore", invalid="ignore"):
             for name, column in values.items():
@@ -226,8 +206,11 @@ class MapReader(ABC):
         """Open a writer of a map of `point_count` points in this map's format, header and all."""
 
     @abstractmethod
-    def extended(self, fields: Sequence[Field]) -> "ExtendedFormat":
-        """Return what writes maps like this one whose points have further fields.
+    def extended(self, fields: Sequence[Field]) -> "MapReader":
+        """Return what makes and writes points like this map's that have further fields.
+
+        Nothing is read from it. What a point had stays as it was stored; new values stand behind
+        it, of the types that the format has.
 
         Parameters
         ----------
@@ -240,10 +223,17 @@ class MapReader(ABC):
             When the map has no place for them.
         """
 
-    @property
-    def writes_parts(self) -> bool:
-        """Whether several processes can write one output at once, see `part_writer`."""
-        return False
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
+        """Return the records of a batch of the map that was extended, with further values.
+
+        They are (n,) arrays, one for each of `further`.
+        """
+        raise NotImplementedError(f"{self.description.format}: no further fields")
+
+    def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
+        """Return extended records with these classes, (n,), where the format has any."""
+        del classification
+        return records
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return what writes, in parts, the very file that `writer` writes as a stream.
@@ -256,58 +246,12 @@ class MapReader(ABC):
         raise PartsError(self.description.path, self.description.format)
 
 
-class ExtendedFormat(ABC):
-    """How maps like another are written, with further fields.
-
-    Parameters
-    ----------
-    model : MapReader
-        Whose writers write the extended points. It describes them, and is never read from.
-    fields : sequence of Field
-        The further fields, each of one value.
-    """
-
-    def __init__(self, model: MapReader, fields: Sequence[Field]) -> None:
-        self._model = model
-        self.fields = tuple(fields)
-
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of extended points; see `MapReader.writer`."""
-        return self._model.writer(path, point_count)
-
-    @property
-    def writes_parts(self) -> bool:
-        """Whether several processes can write one output at once; see `MapReader.part_writer`."""
-        return self._model.writes_parts
-
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer of extended points in parts; see `MapReader.part_writer`."""
-        return self._model.part_writer(path, point_count)
-
-    @abstractmethod
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
-        """Return the records of a batch with further values, for the writers.
-
-        Parameters
-        ----------
-        batch : PointBatch
-            From the reader of the map that is extended.
-        values : sequence of (n,) arrays
-            One for each of `fields`.
-        """
-
-    def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
-        """Return extended records with these classes, (n,), where the format has any."""
-        del classification
-        return records
-
-
 class TextWriter(MapWriter):
     """Writes rows as they stood in the file they come from, after what stands before them there."""
 
     def __init__(self, path: Path, point_count: int, head: bytes) -> None:
         super().__init__(path, point_count)
-        self._file = create_file(path)  # closed by `_finish` and `_abandon`
+        self._file: BinaryIO = create_file(path)
         self._file.write(head)
         self._ended = True
 
@@ -320,7 +264,4 @@ class TextWriter(MapWriter):
         self._ended = text.endswith(b"\n")
 
     def _finish(self) -> None:
-        self._file.close()
-
-    def _abandon(self) -> None:
         self._file.close()

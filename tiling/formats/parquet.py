@@ -6,20 +6,19 @@ from copy import copy
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import LARGEST_BATCH, ExtendedFormat, MapReader, MapWriter
+from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
 _ARROW_SCHEMA = b"ARROW:schema"
@@ -51,8 +50,7 @@ class _Layout:
     group_rows: int
     """Rows of the largest row group; 0 where there are none."""
     bytes_per_row: int
-    """Bytes that a row takes in memory, on average; values that are stored once and referred to
-    count once."""
+    """Bytes that a row takes in memory, on average; a text that is stored once counts once."""
     has_int96: bool
     """Whether there are time stamps in the form of 96 bits that Spark and Impala used to write."""
     has_arrow_schema: bool
@@ -91,20 +89,6 @@ class _Layout:
             has_compliant_lists=not any(".list.item" in column.path for column in columns),
         )
 
-    @property
-    def writable_codecs(self) -> dict[str, str]:
-        """The codecs, with Snappy in place of one that cannot be written."""
-        return {path: _writable(codec) for path, codec in self.codecs.items()}
-
-
-def _writable(codec: str) -> str:
-    if codec == "UNCOMPRESSED":
-        return "NONE"
-    try:
-        return codec if pa.Codec.is_available(codec.lower()) else "SNAPPY"
-    except ValueError:  # a codec that pyarrow knows by name only
-        return "SNAPPY"
-
 
 class ParquetReader(MapReader):
     """Reads the rows of a Parquet file as points.
@@ -112,11 +96,6 @@ class ParquetReader(MapReader):
     All columns of any type, the schema with its metadata (pandas, GeoParquet), the compression
     of each column and the size of the row groups are those of the output too. A null coordinate
     counts as NaN and stays null.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not a Parquet file, or its points are not found, see `find_points`.
     """
 
     sets_values = True
@@ -128,7 +107,6 @@ class ParquetReader(MapReader):
             stored = file.metadata.metadata or {}
             kept = {key: value for key, value in stored.items() if key != _ARROW_SCHEMA}
             self._schema = file.schema_arrow.with_metadata(kept or None)
-            self._texts = [each.name for each in self._schema if _is_text(each.type)]
             self._chunks = find_chunks(path)
             check_pages(path, self._chunks[0] if self._chunks else [])
             self._layout = _Layout.of(file, path)
@@ -140,6 +118,8 @@ class ParquetReader(MapReader):
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
         self._points = points
         self.bytes_per_point = self._layout.bytes_per_row
+        # A range is read by row groups.
+        self.seekable = self._layout.group_rows <= _LONGEST_ROW_GROUP
         codecs = sorted({codec.lower() for codec in self._layout.codecs.values()})
         self.description = MapDescription(
             path=path,
@@ -150,14 +130,8 @@ class ParquetReader(MapReader):
             crs=_crs(stored.get(_GEO)),
         )
 
-    @property
-    def seekable(self) -> bool:
-        """Whether the row groups are short enough: a range is read by groups."""
-        return self._layout.group_rows <= _LONGEST_ROW_GROUP
-
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        # A text that is stored once may stand in every row.
-        with _opened(self._path, self._texts) as file:
+        with _opened(self._path) as file:
             metadata = file.metadata
             sizes = [metadata.row_group(n).num_rows for n in range(metadata.num_row_groups)]
             starts = list(accumulate(sizes, initial=0))
@@ -166,12 +140,11 @@ class ParquetReader(MapReader):
                 for n, size in enumerate(sizes)
                 if starts[n] < rows.stop and starts[n] + size > rows.start
             ]
-            if not groups:
-                return
-            pages = [chunk for group in self._chunks[groups[0] : groups[-1] + 1] for chunk in group]
-            check_pages(self._path, pages)
-            first = starts[groups[0]]
-            yield from only_rows(self._group_batches(file, groups, first, max_points), rows)
+            if groups:
+                for group in self._chunks[groups[0] : groups[-1] + 1]:
+                    check_pages(self._path, group)
+                batches = self._group_batches(file, groups, starts[groups[0]], max_points)
+                yield from only_rows(batches, rows)
 
     def _group_batches(
         self, file: pq.ParquetFile, groups: list[int], row: int, max_points: int
@@ -179,32 +152,12 @@ class ParquetReader(MapReader):
         """Yield the points of consecutive row groups, the first of which is in `row`."""
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
-            for table in self._within_bytes(pa.Table.from_batches([batch])):
-                yield TableBatch(row, self._points.take(table), table)
-                row += table.num_rows
+            table = pa.Table.from_batches([batch])
+            yield TableBatch(row, self._points.take(table), table)
+            row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"
             raise MapFormatError(self._path, expected, f"{row}", at="the end")
-
-    def _within_bytes(self, table: pa.Table) -> Iterator[pa.Table]:
-        """Yield the rows with their texts in full, as many at a time as memory is for."""
-        lengths = np.zeros(table.num_rows, dtype=np.int64)
-        for name in self._texts:
-            for chunk in table.column(name).chunks:
-                of_text = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
-                lengths += pc.fill_null(of_text.take(chunk.indices), 0).to_numpy(False)
-        ends = np.cumsum(lengths)
-        start = 0
-        while start < table.num_rows:
-            most = LARGEST_BATCH + (ends[start - 1] if start else 0)
-            stop = max(int(np.searchsorted(ends, most, side="right")), start + 1)
-            part = table.slice(start, stop - start)
-            for name in self._texts:
-                at = self._schema.get_field_index(name)
-                text = part.column(at).cast(self._schema.field(at).type)
-                part = part.set_column(at, self._schema.field(at), text)
-            yield part
-            start = stop
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one column of some rows, nulls as NaN; see `MapReader.values`."""
@@ -223,24 +176,22 @@ class ParquetReader(MapReader):
         """Open a writer of a table like this one; see `MapReader.writer`."""
         return _ParquetWriter(path, point_count, self._schema, self._layout)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further columns; see `MapReader.extended`."""
         model = copy(self)
+        model.further = tuple(fields)
         for field in fields:
             kind = pa.from_numpy_dtype(np.dtype(field.dtype))
             model._schema = model._schema.append(pa.field(field.name, kind))
         codec = next(iter(self._layout.codecs.values()), "SNAPPY")
         codecs = {**self._layout.codecs, **{field.name: codec for field in fields}}
         model._layout = replace(self._layout, codecs=codecs)
-        return _ExtendedTable(model, fields)
-
-
-class _ExtendedTable(ExtendedFormat):
-    """Tables of points with further columns."""
+        return model
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> pa.Table:
+        """Return the rows with further columns; see `MapReader.extend`."""
         table = batch.records
-        for field, column in zip(self.fields, values, strict=True):
+        for field, column in zip(self.further, values, strict=True):
             table = table.append_column(field.name, pa.array(column.astype(field.dtype)))
         return table
 
@@ -254,13 +205,17 @@ class _ParquetWriter(MapWriter):
         self._schema = schema
         self._gathered: list[pa.Table] = []
         self._rows = self._bytes = 0
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
+        codecs = {
+            column: "NONE" if codec == "UNCOMPRESSED" else codec
+            for column, codec in layout.codecs.items()
+        }
         self._writer = pq.ParquetWriter(
             self._file,
             schema,
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
-            compression=layout.writable_codecs or "snappy",
+            compression=codecs or "snappy",
             use_deprecated_int96_timestamps=layout.has_int96,
             store_schema=layout.has_arrow_schema,
             use_compliant_nested_type=layout.has_compliant_lists,
@@ -300,19 +255,11 @@ class _ParquetWriter(MapWriter):
 
 
 @contextmanager
-def _opened(path: Path, texts: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file, and turn what is wrong with it into a `MapFormatError`.
-
-    Texts are given as references to each different one.
-    """
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file, and turn what is wrong with it into a `MapFormatError`."""
+    options = {"buffer_size": _READ_BUFFER, "pre_buffer": False, "page_checksum_verification": True}
     try:
-        with open_parquet(
-            path,
-            buffer_size=_READ_BUFFER,
-            read_dictionary=list(texts),
-            pre_buffer=False,
-            page_checksum_verification=True,
-        ) as file:
+        with open_parquet(path, **options) as file:
             yield file
     # pyarrow reports a corrupt file as any of these; one that cannot be read at all was met before.
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
@@ -333,17 +280,6 @@ def _check_signature(path: Path) -> None:
         if size < 12 or raw.read(4) != b"PAR1":
             expected = "PAR1 at the end of a whole Parquet file"
             raise MapFormatError(path, expected, "other bytes", at=f"byte {max(size - 4, 0)}")
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    """Tell whether values of a type have no size of their own, and can be read as references."""
-    types = pa.types
-    return bool(
-        types.is_string(kind)
-        or types.is_large_string(kind)
-        or types.is_binary(kind)
-        or types.is_large_binary(kind)
-    )
 
 
 def _type_name(kind: pa.DataType) -> str:

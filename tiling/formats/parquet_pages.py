@@ -50,12 +50,7 @@ def find_chunks(path: Path) -> Chunks:
 
 
 def check_pages(path: Path, chunks: Iterable[tuple[int, int]]) -> None:
-    """Refuse pages that say they are larger than the file, or than `LARGEST_PAGE`.
-
-    Raises
-    ------
-    MapFormatError
-    """
+    """Refuse pages that say they are larger than the file, or than `LARGEST_PAGE`."""
     with path.open("rb", buffering=0) as file:
         size = path.stat().st_size
         for start, stop in chunks:
@@ -65,12 +60,9 @@ def check_pages(path: Path, chunks: Iterable[tuple[int, int]]) -> None:
                 if not (0 <= unpacked <= LARGEST_PAGE and 0 <= packed <= LARGEST_PAGE) or (
                     place + length + packed > size
                 ):
-                    raise MapFormatError(
-                        path,
-                        f"a page within the file, of at most {LARGEST_PAGE} bytes",
-                        f"one of {packed} bytes, {unpacked} unpacked",
-                        at=f"byte {place}",
-                    )
+                    expected = f"a page within the file, of at most {LARGEST_PAGE} bytes"
+                    found = f"one of {packed} bytes, {unpacked} unpacked"
+                    raise MapFormatError(path, expected, found, f"byte {place}")
                 place += length + packed
 
 

@@ -60,12 +60,8 @@ class PointColumns:
 def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumns | None:
     """Find the coordinates in a table; return None where no columns could hold them.
 
-    GeoParquet's description of the table is `geo`, if there is one.
-
-    Raises
-    ------
-    MapFormatError
-        When the columns hold anything else.
+    GeoParquet's description of the table is `geo`, if there is one. Columns that should hold them
+    and hold anything else are refused.
     """
     names = coordinate_names(schema.names)
     if names is not None:

@@ -76,12 +76,7 @@ class PartWriter(ABC):
         return MapPart(self, first)
 
     def finish(self, summaries: Iterable[PartSummary]) -> None:
-        """Write what only all points together tell.
-
-        Parameters
-        ----------
-        summaries : iterable of PartSummary
-            Of all parts, in any order.
+        """Write what only all points together tell, by the summaries of all parts, in any order.
 
         Raises
         ------
@@ -98,13 +93,15 @@ class PartWriter(ABC):
                 )
             row += part.count
         if row != self.point_count:
-            raise PointCountError(
-                f"{self.path}: created for {self.point_count} points, given {row}"
-            )
+            raise self.wrong_count(row)
         header = self._completed_header(parts)
         if header is not None:
             with write_only(self.path) as file:
                 file.write(header)
+
+    def wrong_count(self, given: int) -> PointCountError:
+        """Return the error of another number of points than promised."""
+        return PointCountError(f"{self.path}: created for {self.point_count} points, given {given}")
 
     def new_summary(self, first: int) -> PartSummary:
         """Return the summary of a part that has no points yet."""
@@ -145,10 +142,7 @@ class MapPart:
             return
         row = self.summary.first + self.summary.count
         if row + len(records) > self._writer.point_count:
-            raise PointCountError(
-                f"{self._writer.path}: created for {self._writer.point_count} points, "
-                f"given {row + len(records)}"
-            )
+            raise self._writer.wrong_count(row + len(records))
         self._writer.put(self._file, row, records)
         self.summary.add(records)
 

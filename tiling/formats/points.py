@@ -1,10 +1,10 @@
 """Points on their way from a reader to whoever asks for them."""
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,116 +14,82 @@ from tiling.foreign_text import LONGEST_MESSAGE, printable
 from tiling.formats.units import Units
 from tiling.grid import Grid
 
+if TYPE_CHECKING:
+    from tiling.formats.text_rows import TextRows  # compiled: takes long to import
+
 DEFAULT_BATCH = 500_000
 """Points in a batch when the caller does not say."""
-
 
 COORDINATES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of every point.
-
-    Attributes
-    ----------
-    name : str
-        As the file names it.
-    dtype : str
-        NumPy's name of the type, such as `"float32"`; for a field with no such type, the file's.
-    count : int
-        Values per point.
-    """
+    """One field of every point."""
 
     name: str
+    """As the file names it."""
     dtype: str
+    """NumPy's name of the type, such as `"float32"`; for a field with no such type, the file's."""
     count: int = 1
+    """Values per point."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapDescription:
-    """What a map file says of itself, before any point is read.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    format : str
-        Kind and variant for people, such as `"PCD binary_compressed"` or
-        `"LAZ 1.4, point format 6"`.
-    suffix : str
-        File name suffix of a map written like this one, with the dot (`".laz"` for COPC).
-    point_count : int
-        Points in the file.
-    fields : tuple of Field
-        Every field, in the file's order.
-    crs : str or None
-        The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any.
-    units : Units or None
-        What the coordinates are measured in, where the file says it.
-    has_classification : bool
-        Whether the batches carry ASPRS classes.
-    largest_class : int
-        The largest class that a point can have, where they have classes.
-    grid : Grid or None
-        The grid that all coordinates are on (LAS).
-    notes : tuple of str
-        What an output of this kind cannot carry over, one plain sentence each.
-    viewpoint : tuple of 7 float or None
-        Where the sensor was, and its quaternion, w first, where the file says it (PCD).
-    scans : tuple of (int, tuple of 12 float)
-        Points of each scan, and its pose in the map, row by row, where the file keeps scans apart
-        (E57).
-    """
+    """What a map file says of itself, before any point is read."""
 
     path: Path
     format: str
+    """Kind and variant for people, such as `"PCD binary_compressed"` or
+    `"LAZ 1.4, point format 6"`."""
     suffix: str
+    """File name suffix of a map written like this one, with the dot (`".laz"` for COPC)."""
     point_count: int
     fields: tuple[Field, ...]
+    """Every field, in the file's order."""
     crs: str | None = None
+    """The coordinate reference system in a short form (`"EPSG:26915"`, or a name), if any."""
     units: Units | None = None
+    """What the coordinates are measured in, where the file says it."""
     has_classification: bool = False
+    """Whether the batches carry ASPRS classes."""
     largest_class: int = 255
+    """The largest class that a point can have, where they have classes."""
     grid: Grid | None = None
+    """The grid that all coordinates are on (LAS)."""
     notes: tuple[str, ...] = ()
+    """What an output of this kind cannot carry over, one plain sentence each."""
     viewpoint: tuple[float, ...] | None = None
+    """Where the sensor was, 3 numbers, and its quaternion, w first, where the file says it."""
     scans: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    """Points of each scan, and its pose in the map, 12 numbers row by row, where the file keeps
+    scans apart (E57)."""
 
     def __post_init__(self) -> None:
         """Make what is shown to people, and comes from the file, fit for it."""
+        notes = tuple(printable(note, LONGEST_MESSAGE) for note in self.notes)
         object.__setattr__(self, "format", printable(self.format))
-        object.__setattr__(
-            self, "notes", tuple(printable(note, LONGEST_MESSAGE) for note in self.notes)
-        )
+        object.__setattr__(self, "notes", notes)
         if self.crs is not None:
             object.__setattr__(self, "crs", printable(self.crs))
 
 
 @dataclass(frozen=True, slots=True)
 class PointBatch:
-    """Some consecutive points of a map.
-
-    Attributes
-    ----------
-    first_row : int
-        Row number, in the file, of the first point.
-    xyz : (n, 3) float64 array
-        Coordinates, in the map's units; NaN or infinite where the file has none.
-    records : opaque
-        The points as the format stores them, usually an array: to be selected by `select` and
-        given to a writer made by the same reader.
-    classification : (n,) uint8 array or None
-        ASPRS classes (LAS), where the format has them.
-    withheld : (n,) bool array or None
-        Points that are marked as deleted (LAS), where the format has such a mark.
-    """
+    """Some consecutive points of a map."""
 
     first_row: int
+    """Row number, in the file, of the first point."""
     xyz: NDArray[np.float64]
+    """(n, 3): coordinates, in the map's units; NaN or infinite where the file has none."""
     records: Any
+    """The points as the format stores them, usually an array: to be selected by `select` and given
+    to a writer made by the same reader."""
     classification: NDArray[np.uint8] | None = None
+    """(n,): ASPRS classes (LAS), where the format has them."""
     withheld: NDArray[np.bool_] | None = None
+    """(n,): points that are marked as deleted (LAS), where the format has such a mark."""
 
     def select(self, chosen: NDArray[np.bool_]) -> Any:
         """Return the records of the points where `chosen` is true, in order."""
@@ -141,13 +107,12 @@ class PointBatch:
         if (start, stop) == (0, len(self.xyz)):
             return self
         part = slice(start, stop)
-        return replace(
-            self,
-            first_row=self.first_row + start,
-            xyz=self.xyz[part],
-            records=self.records[part],
-            classification=None if self.classification is None else self.classification[part],
-            withheld=None if self.withheld is None else self.withheld[part],
+        return type(self)(
+            self.first_row + start,
+            self.xyz[part],
+            self.records[part],
+            None if self.classification is None else self.classification[part],
+            None if self.withheld is None else self.withheld[part],
         )
 
 
@@ -177,40 +142,77 @@ def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch
 
 
 def coordinate_names(names: Collection[str]) -> tuple[str, str, str] | None:
-    """Find the fields that hold the coordinates.
-
-    Parameters
-    ----------
-    names : collection of str
-        The names of all fields.
-
-    Returns
-    -------
-    tuple of str or None
-        `("x", "y", "z")` where there are such fields, else `("X", "Y", "Z")`, else None.
-    """
+    """Return which of all fields hold the coordinates: x, y and z, else X, Y and Z, else None."""
     for x, y, z in (COORDINATES, ("X", "Y", "Z")):
         if x in names and y in names and z in names:
             return x, y, z
     return None
 
 
+def longer_records(
+    records: NDArray[Any],
+    fields: Sequence[Field],
+    values: Sequence[NDArray[Any]],
+    byte_order: str = "<",
+) -> NDArray[Any]:
+    """Put values, packed in the file's byte order, behind records that are packed bytes."""
+    tail = packed(fields, values, byte_order)
+    if records.dtype != object:
+        return joined(records, tail)
+    longer = np.empty(len(tail), dtype=object)  # records of no fixed size, as bytes
+    longer[:] = [head + more.tobytes() for head, more in zip(records, tail, strict=True)]
+    return longer
+
+
+def longer_rows(
+    rows: "TextRows",
+    fields: Sequence[Field],
+    values: Sequence[NDArray[Any]],
+    separator: bytes = b" ",
+) -> "TextRows":
+    """Put values on the lines of text, in as many digits as tell them from others."""
+    columns = [
+        column.astype(field.dtype).tolist() for field, column in zip(fields, values, strict=True)
+    ]
+    words = [
+        separator.join(repr(value).encode() for value in row) for row in zip(*columns, strict=True)
+    ]
+    return rows.with_words(words, separator)
+
+
+def packed(
+    fields: Sequence[Field], values: Sequence[NDArray[Any]], byte_order: str = "<"
+) -> NDArray[Any]:
+    """Pack values of some fields into records of their own, (n,)."""
+    dtype = np.dtype([(field.name, byte_order + np.dtype(field.dtype).str[1:]) for field in fields])
+    records = np.empty(len(values[0]), dtype=dtype)
+    for field, column in zip(fields, values, strict=True):
+        records[field.name] = column
+    return records
+
+
+def joined(head: NDArray[Any], tail: NDArray[Any]) -> NDArray[np.void]:
+    """Put the bytes of each of some records before those of the record beside it, (n,)."""
+    rows = np.hstack([bytes_of(head), bytes_of(tail)])
+    return rows.view(f"V{rows.shape[1]}")[:, 0]
+
+
+def bytes_of(records: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the bytes of records, (n, size)."""
+    size = records.dtype.itemsize
+    return np.ascontiguousarray(records).view(np.uint8).reshape(len(records), size)
+
+
 def row_digests(records: Any) -> list[bytes]:
     """Return a digest of each record, so that points of two files can be told to be the same.
 
-    Records are compared as the files store them, all fields to the last bit; rows of text without
-    their line ends, since the last row of a file may have none.
-
-    Parameters
-    ----------
-    records : opaque
-        As `PointBatch.records`, of any format.
+    Records, of any format, are compared as the files store them, all fields to the last bit; rows
+    of text without their line ends, since the last row of a file may have none.
     """
     return [blake2b(row, digest_size=16).digest() for row in _rows(records)]
 
 
 def _rows(records: Any) -> Iterable[bytes]:
-    """Return the bytes of each record."""
     if isinstance(records, np.ndarray):
         return _of_array(records)
     if hasattr(records, "starts"):  # rows of text

@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, TextWriter
-from tiling.formats.extension import ExtendedText
+from tiling.formats.base import MapReader, MapWriter, TextWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.points import (
     COORDINATES,
     Field,
     MapDescription,
     PointBatch,
     coordinate_names,
+    longer_rows,
     only_rows,
 )
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, read_rows
 
 _SEPARATORS = {b";": "semicolons", b",": "commas", b"\t": "tabs", b"": "blanks"}
@@ -88,11 +88,6 @@ class TextReader(MapReader):
     """Reads a text file of points.
 
     Making one counts the rows, for which the whole file is read once.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not text with a point a row, as many values in each and as many rows as it says.
     """
 
     seekable = False  # where a row begins is known from those before it
@@ -146,21 +141,21 @@ class TextReader(MapReader):
         """Open a writer of rows below the same head; see `MapReader.writer`."""
         return TextWriter(path, point_count, self._head.for_points(point_count))
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further values behind the others; see `MapReader.extended`."""
         model = copy(self)
+        model.further = tuple(fields)
         model._head = self._head.extended([field.name for field in fields])
-        return ExtendedText(model, fields, self._head.layout.separator or b" ")
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> TextRows:
+        """Return the rows with further values; see `MapReader.extend`."""
+        separator = self._head.layout.separator or b" "
+        return longer_rows(batch.records, self.further, values, separator)
 
 
 def read_head(path: Path) -> TextHead:
-    """Read what stands before the first point, and find out how the points are written.
-
-    Raises
-    ------
-    MapFormatError
-        When no row of numbers follows.
-    """
+    """Read what stands before the first point, and find out how the points are written."""
     lines: list[bytes] = []
     count_line = names_line = layout = None
     with path.open("rb") as stream:

@@ -118,7 +118,7 @@ def read_rows(
     path: Path,
     first_line: int,
 ) -> Iterator[tuple[TextRows, NDArray[np.float64]]]:
-    """Read all rows from a stream's position to its end.
+    """Read all rows from a stream's position to its end: rows, and their coordinates, (n, 3).
 
     Blanks, tabs and carriage returns separate values, unless the layout has another separator;
     lines with nothing else are passed over.
@@ -129,15 +129,8 @@ def read_rows(
         Rows that there must be; None if that is not known.
     max_rows : int
         Rows to give at a time, at most; fewer come where the text is read in smaller blocks.
-    path : Path
-        The file, for messages.
-    first_line : int
-        Line number of the first row, counted from 1.
-
-    Yields
-    ------
-    TextRows, (n, 3) float64 array
-        Rows and their coordinates.
+    path, first_line : Path, int
+        The file, and the line number of the first row, counted from 1: for messages.
 
     Raises
     ------
@@ -161,9 +154,8 @@ def read_rows(
             if len(rows):
                 yield rows, xyz
     if row_count is not None and found < row_count:
-        raise MapFormatError(
-            path, f"{row_count} points", f"the end of the file after {found}", f"line {line}"
-        )
+        end = f"the end of the file after {found}"
+        raise MapFormatError(path, f"{row_count} points", end, f"line {line}")
 
 
 def _whole_lines(stream: BinaryIO, layout: RowLayout, path: Path) -> Iterator[bytes]:
@@ -181,9 +173,8 @@ def _whole_lines(stream: BinaryIO, layout: RowLayout, path: Path) -> Iterator[by
             carried_size += len(block)
         if carried_size > longest:
             at = f"byte {stream.tell() - carried_size}"
-            raise MapFormatError(
-                path, f"a row of {layout.values} values", f"a line of over {longest} bytes", at
-            )
+            expected = f"a row of {layout.values} values"
+            raise MapFormatError(path, expected, f"a line of over {longest} bytes", at)
     if carried_size:
         yield b"".join(carried)
 
@@ -191,24 +182,10 @@ def _whole_lines(stream: BinaryIO, layout: RowLayout, path: Path) -> Iterator[by
 def parse_rows(
     text: Bytes, position: int, limit: int, layout: RowLayout, path: Path, line: int
 ) -> tuple[TextRows, NDArray[np.float64], int, int]:
-    """Take up to `limit` rows out of whole lines of text.
+    """Take up to `limit` rows out of whole lines of text, (m,), from a position on.
 
-    Parameters
-    ----------
-    text : (m,) uint8 array
-    position : int
-        Where in `text` to begin.
-    limit : int
-        Rows to take at most.
-    path : Path
-        The file, for messages.
-    line : int
-        Number of the line at `position`, for messages.
-
-    Returns
-    -------
-    TextRows, (n, 3) float64 array, int, int
-        The rows, their coordinates, the position after them, and the lines passed.
+    Returns the rows, their coordinates, (n, 3), the position after them, and the lines passed. The
+    file, and the number of the line at the position, are for messages.
 
     Raises
     ------

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.e57.scan import Scan, read_scan
 from tiling.formats.e57.tree import children, copy_tree, library, member, node, opened, write_errors
 from tiling.formats.las.crs import name_in_wkt
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 from tiling.output_file import create_file
 
 _SIGNATURE = b"ASTM-E57"
@@ -30,15 +30,11 @@ _WRITTEN = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class ScanRecords:
-    """Records of one scan.
-
-    Attributes
-    ----------
-    rows : (n,) structured array
-    """
+    """Records of one scan."""
 
     scan: int
     rows: NDArray[Any]
+    """(n,), structured."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -52,13 +48,7 @@ class ScanRecords:
 
 
 class E57Reader(MapReader):
-    """Reads the scans of an E57 file, one after the other.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not an E57 file with points.
-    """
+    """Reads the scans of an E57 file, one after the other."""
 
     seekable = False  # libE57 reads a scan from its beginning
 
@@ -79,9 +69,7 @@ class E57Reader(MapReader):
             system = member(root, "coordinateMetadata")
             wkt = "" if system is None else str(system.value())
         fields = {field.name: field for scan in self._scans for field in scan.fields}
-        notes = []
-        if any(scan.grouped for scan in self._scans):
-            notes.append("The grouping of the points by lines is left out.")
+        is_grouped = any(scan.grouped for scan in self._scans)
         count = len(self._scans)
         self.description = MapDescription(
             path=path,
@@ -90,7 +78,7 @@ class E57Reader(MapReader):
             point_count=sum(scan.count for scan in self._scans),
             fields=tuple(Field(name, np.dtype(each.dtype).name) for name, each in fields.items()),
             crs=name_in_wkt(wkt) if wkt else None,
-            notes=tuple(notes),
+            notes=("The grouping of the points by lines is left out.",) * is_grouped,
             scans=tuple((scan.count, scan.pose) for scan in self._scans),
         )
         self.bytes_per_point = max((scan.dtype.itemsize for scan in self._scans), default=0)

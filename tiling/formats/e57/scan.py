@@ -19,50 +19,36 @@ _MOST_FIELDS = 1000
 
 @dataclass(frozen=True, slots=True)
 class ScanField:
-    """A field of every point.
-
-    Attributes
-    ----------
-    dtype : str
-        `"<f4"`, `"<f8"` or, of integers that may be scaled, `"<i8"`.
-    bits : float
-        That a value takes in the file.
-    scale, offset : float
-        What a stored integer is multiplied by, and what is added.
-    """
+    """A field of every point."""
 
     name: str
     dtype: str
+    """`"<f4"`, `"<f8"` or, of integers that may be scaled, `"<i8"`."""
     bits: float
+    """That a value takes in the file."""
     scale: float = 1.0
     offset: float = 0.0
+    """What a stored integer is multiplied by, and what is added."""
 
     def scaled(self, values: NDArray[Any]) -> NDArray[np.float64]:
         """Return what stored values stand for."""
-        return values.astype(np.float64) * self.scale + self.offset
+        whole = values.astype(np.float64)
+        return whole * self.scale + self.offset if self.dtype == "<i8" else whole
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """What is known of a scan before its points are read.
-
-    Attributes
-    ----------
-    count : int
-        Points.
-    rotation : (3, 3) tuple of tuple of float or None
-    translation : tuple of float or None
-        From the scan to the map; None where the file has none.
-    grouped : bool
-        Whether its points are grouped by lines.
-    """
+    """What is known of a scan before its points are read."""
 
     number: int
     count: int
+    """Points."""
     fields: tuple[ScanField, ...]
     rotation: tuple[tuple[float, float, float], ...] | None
     translation: tuple[float, float, float] | None
+    """From the scan to the map, (3, 3) and (3,); None where the file has none."""
     grouped: bool
+    """Whether its points are grouped by lines."""
 
     @property
     def dtype(self) -> np.dtype:
@@ -84,16 +70,10 @@ class Scan:
     def coordinates(self, records: NDArray[Any]) -> NDArray[np.float64]:
         """Return coordinates in the frame of the map, (n, 3); those of invalid points are NaN."""
         by_name = {field.name: field for field in self.fields}
-        parts = []
-        for name in self._axes:
-            field, values = by_name[name], records[name]
-            parts.append(
-                field.scaled(values) if field.dtype == "<i8" else values.astype(np.float64)
-            )
+        x, y, z = (by_name[name].scaled(records[name]) for name in self._axes)
         with np.errstate(all="ignore"):
-            x, y, z = parts
             if self._axes == _SPHERICAL:
-                distance, azimuth, elevation = parts
+                distance, azimuth, elevation = x, y, z
                 across = distance * np.cos(elevation)
                 x, y = across * np.cos(azimuth), across * np.sin(azimuth)
                 z = distance * np.sin(elevation)
@@ -109,13 +89,7 @@ class Scan:
 
 
 def read_scan(scan: Any, number_of_scan: int, path: Path, size: int) -> Scan:
-    """Read what a file says of a scan.
-
-    Raises
-    ------
-    MapFormatError
-        When its points have no coordinates, or cannot be as many as it says.
-    """
+    """Read what a file says of a scan; one without coordinates, or too many points, is refused."""
     name = f"scan {number_of_scan + 1}"
     points = member(scan, "points")
     if points is None or not hasattr(points, "prototype"):

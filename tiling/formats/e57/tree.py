@@ -23,13 +23,7 @@ _BLOCK = 1 << 20
 
 
 def library(path: Path) -> Any:
-    """Return libE57's bindings.
-
-    Raises
-    ------
-    MapFormatError
-        When they are not installed.
-    """
+    """Return libE57's bindings; a `MapFormatError` of a file says that they are not installed."""
     try:
         return import_module("pye57.libe57")
     except ImportError:

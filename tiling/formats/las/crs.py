@@ -45,18 +45,10 @@ _Keys = Mapping[int, tuple[int, ...]]
 
 
 def crs_name(records: Sequence[VariableLengthRecord]) -> str | None:
-    """Name the coordinate reference system of a LAS file.
+    """Name the coordinate reference system of a LAS file by its VLRs and EVLRs.
 
-    Parameters
-    ----------
-    records : sequence of VariableLengthRecord
-        The file's VLRs and EVLRs.
-
-    Returns
-    -------
-    str or None
-        `"EPSG:26915"` where an authority's code is given, else the system's own name; None where
-        there is neither. Well-known text is preferred to GeoTIFF keys.
+    The name is such as `"EPSG:26915"` where an authority's code is given, else the system's own;
+    None where there is neither. Well-known text is preferred to GeoTIFF keys.
     """
     found = _crs_records(records)
     name = None

@@ -9,14 +9,10 @@ positions are those of the ASPRS LAS specification, 1.4 R15 (table 24).
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader
-from tiling.formats.extension import bytes_of, packed
 from tiling.formats.las.header import (
     AT_HEADER_SIZE,
     AT_MINOR_VERSION,
@@ -29,7 +25,7 @@ from tiling.formats.las.header import (
     read_vlrs,
 )
 from tiling.formats.las.laz_header import is_laszip_record, own_compression
-from tiling.formats.points import Field, PointBatch
+from tiling.formats.points import Field
 
 USER_ID, RECORD_ID = "LASF_Spec", 4
 """The VLR of extra bytes."""
@@ -69,16 +65,8 @@ _FIELDS = (
 # Types from code 1 on; codes 11 to 30 are pairs and triples of them, code 0 is as many bytes as
 # the options say.
 _TYPES = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float32",
-    "float64",
+    *("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64"),
+    *("float32", "float64"),
 )
 _DESCRIPTOR = struct.Struct("<2xBB32s156x")
 
@@ -155,30 +143,6 @@ LAST_SHORT_CLASS = 31
 _VLR_HEADER = struct.Struct("<2x16sHH32s")
 _LARGEST = 0xFFFF
 """Bytes of a point, and of the data of a VLR, at most."""
-
-
-class ExtendedLas(ExtendedFormat):
-    """LAS or LAZ files of points, of a file with this header, with further extra bytes."""
-
-    def __init__(self, model: MapReader, fields: Sequence[Field], header: LasHeader) -> None:
-        super().__init__(model, fields)
-        self._header = header
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
-        """Return the records with the values; see `ExtendedFormat.extend`."""
-        return np.hstack([batch.records, bytes_of(packed(self.fields, values))])
-
-    def with_classes(
-        self, records: NDArray[np.uint8], classification: NDArray[np.uint8]
-    ) -> NDArray[np.uint8]:
-        """Set the classes of extended records; see `ExtendedFormat.with_classes`."""
-        if self._header.point_format < 6:
-            # The other three bits are flags: synthetic, key-point, withheld.
-            records[:, 15] &= np.uint8(0xFF ^ LAST_SHORT_CLASS)
-            records[:, 15] |= classification & np.uint8(LAST_SHORT_CLASS)
-        else:
-            records[:, 16] = classification
-        return records
 
 
 def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:

@@ -8,7 +8,7 @@ import math
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
 
@@ -134,158 +134,166 @@ def read_header(path: Path) -> LasHeader:
     MapFormatError
         When the header contradicts the specification or the file's size.
     """
-    file_size = path.stat().st_size
     with path.open("rb") as file:
-        minor, header, notes = _read_public_header(path, file, file_size)
-        point_format, compressed, record_length = _check_point_layout(path, header)
-        point_count = _point_count(header, minor)
-        points_offset = _check_points_offset(path, header, file_size)
-        if not compressed:
-            _check_room(path, points_offset, file_size, point_count, record_length)
-        scales, offsets = _check_grid(path, header)
-        file.seek(0)
-        block = bytearray(file.read(points_offset))
+        return _HeaderReader(path, file).read()
+
+
+class _HeaderReader:
+    """Reads what an open file says of itself, from its public header block on."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path = path
+        self._file = file
+        self._size = path.stat().st_size
+        self._notes: list[str] = []
+        self._minor, self._header = self._public_header()
+
+    def read(self) -> LasHeader:
+        point_format, compressed, record_length = self._point_layout()
+        (legacy_count,) = self._unpack("<I", AT_LEGACY_COUNT)
+        # Since 1.4 the field of 64 bits, unless only the older is filled.
+        count = (self._unpack("<Q", AT_COUNT)[0] if self._minor >= 4 else 0) or legacy_count
+        start = self._points_offset()
+        room = (self._size - start) // record_length
+        if not compressed and count > room:
+            expected = f"{count} points of {record_length} bytes from byte {start}"
+            raise self._wrong(expected, f"room for {room}: the file ends", self._size)
+        scales, offsets = self._grid()
+        self._file.seek(0)
+        block = bytearray(self._file.read(start))
         vlrs = read_vlrs(block)
-        notes += _note_missing("VLR", struct.unpack_from("<I", block, AT_VLR_COUNT)[0], len(vlrs))
+        self._note_missing("VLR", self._unpack("<I", AT_VLR_COUNT)[0], len(vlrs))
         struct.pack_into("<I", block, AT_VLR_COUNT, len(vlrs))
-        promised, evlrs, end = _read_evlrs(file, file_size, header, minor, points_offset)
-        notes += _note_missing("EVLR", promised, len(evlrs))
-        waveforms = _find_waveforms(file, file_size, header, minor, points_offset)
-    return LasHeader(
-        path=path,
-        file_size=file_size,
-        block=bytes(block),
-        minor_version=minor,
-        point_format=point_format,
-        compressed=compressed,
-        record_length=record_length,
-        point_count=point_count,
-        scales=scales,
-        offsets=offsets,
-        vlrs=vlrs,
-        evlrs=evlrs,
-        waveforms=waveforms,
-        cut_off=end if promised > len(evlrs) and points_offset <= end < file_size else None,
-        notes=notes,
-    )
-
-
-def _note_missing(kind: str, promised: int, found: int) -> tuple[str, ...]:
-    """Say where a header counts more records than there are; nobody can tell what they held."""
-    if promised == found:
-        return ()
-    return (
-        f"The header counts {promised} {kind}s, but the file has {found}, as the outputs will.",
-    )
-
-
-def _read_public_header(
-    path: Path, file: BinaryIO, file_size: int
-) -> tuple[int, bytes, tuple[str, ...]]:
-    """Return the minor version whose fields are there, the public header block, and notes."""
-    header = file.read(SMALLEST_HEADER[5])
-    if not header:
-        raise MapFormatError(path, 'the LAS signature "LASF"', "an empty file", "byte 0")
-    if header.startswith(b"version https://git-lfs"):
-        raise MapFormatError(
-            path, 'the LAS signature "LASF"', "a Git LFS pointer in place of the file", "byte 0"
-        )
-    if header[:4] != b"LASF":
-        raise MapFormatError(path, 'the LAS signature "LASF"', repr(header[:4])[1:], "byte 0")
-    if file_size < SMALLEST_HEADER[0]:
-        raise MapFormatError(
-            path, f"a header of {SMALLEST_HEADER[0]} bytes", f"the file's end at byte {file_size}"
-        )
-    major, minor = header[24], header[25]
-    if major != 1 or minor not in SMALLEST_HEADER:
-        raise MapFormatError(path, "LAS version 1.0 to 1.5", f"{major}.{minor}", "byte 24")
-    (header_size,) = struct.unpack_from("<H", header, AT_HEADER_SIZE)
-    if not SMALLEST_HEADER[0] <= header_size <= file_size:
-        raise MapFormatError(
-            path,
-            f"a header of {SMALLEST_HEADER[minor]} bytes or more within the file's {file_size}",
-            f"header size {header_size}",
-            f"byte {AT_HEADER_SIZE}",
-        )
-    if header_size >= SMALLEST_HEADER[minor]:
-        return minor, header[:header_size], ()
-    note = (
-        f"The header has {header_size} bytes, and that of LAS 1.{minor} has "
-        f"{SMALLEST_HEADER[minor]}: what should follow is taken as not there."
-    )
-    minor = max(each for each, size in SMALLEST_HEADER.items() if size <= header_size)
-    return minor, header[:header_size], (note,)
-
-
-def _check_point_layout(path: Path, header: bytes) -> tuple[int, bool, int]:
-    """Return point format, whether it is compressed, and the bytes of a point."""
-    stored = header[AT_POINT_FORMAT]
-    compressed = bool(stored & _COMPRESSED)
-    point_format = stored & ~_COMPRESSED
-    if point_format >= len(RECORD_LENGTHS):
-        raise MapFormatError(
-            path, "point format 0 to 10", str(point_format), f"byte {AT_POINT_FORMAT}"
-        )
-    (record_length,) = struct.unpack_from("<H", header, AT_RECORD_LENGTH)
-    if record_length < RECORD_LENGTHS[point_format]:
-        raise MapFormatError(
-            path,
-            f"points of {RECORD_LENGTHS[point_format]} bytes or more (point format {point_format})",
-            f"{record_length} bytes",
-            f"byte {AT_RECORD_LENGTH}",
-        )
-    return point_format, compressed, record_length
-
-
-def _point_count(header: bytes, minor: int) -> int:
-    """Return the number of points: since 1.4 the 64-bit field, unless only the older is filled."""
-    (legacy,) = struct.unpack_from("<I", header, AT_LEGACY_COUNT)
-    count = struct.unpack_from("<Q", header, AT_COUNT)[0] if minor >= 4 else 0
-    return int(count or legacy)
-
-
-def _check_points_offset(path: Path, header: bytes, file_size: int) -> int:
-    (header_size,) = struct.unpack_from("<H", header, AT_HEADER_SIZE)
-    (points_offset,) = struct.unpack_from("<I", header, AT_POINTS_OFFSET)
-    if not header_size <= points_offset <= file_size:
-        raise MapFormatError(
-            path,
-            f"points between the header's end ({header_size}) and the file's ({file_size})",
-            f"offset to points {points_offset}",
-            f"byte {AT_POINTS_OFFSET}",
-        )
-    if points_offset > _LARGEST_BLOCK:
-        expected = f"at most {_LARGEST_BLOCK} bytes before the points"
-        raise MapFormatError(path, expected, str(points_offset), f"byte {AT_POINTS_OFFSET}")
-    return int(points_offset)
-
-
-def _check_room(path: Path, start: int, file_size: int, count: int, record_length: int) -> None:
-    room = (file_size - start) // record_length
-    if count > room:
-        raise MapFormatError(
-            path,
-            f"{count} points of {record_length} bytes from byte {start}",
-            f"room for {room}: the file ends",
-            f"byte {file_size}",
+        promised, evlrs, end = self._evlrs(start)
+        self._note_missing("EVLR", promised, len(evlrs))
+        return LasHeader(
+            path=self._path,
+            file_size=self._size,
+            block=bytes(block),
+            minor_version=self._minor,
+            point_format=point_format,
+            compressed=compressed,
+            record_length=record_length,
+            point_count=count,
+            scales=scales,
+            offsets=offsets,
+            vlrs=vlrs,
+            evlrs=evlrs,
+            waveforms=self._waveforms(start),
+            cut_off=end if promised > len(evlrs) and start <= end < self._size else None,
+            notes=tuple(self._notes),
         )
 
+    def _unpack(self, form: str, at: int) -> tuple[Any, ...]:
+        return struct.unpack_from(form, self._header, at)
 
-def _check_grid(
-    path: Path, header: bytes
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    scales = struct.unpack_from("<3d", header, AT_SCALES)
-    offsets = struct.unpack_from("<3d", header, AT_OFFSETS)
-    for axis, name in enumerate("xyz"):
-        farthest = abs(scales[axis]) * _LARGEST_GRID_COORDINATE + abs(offsets[axis])
-        if scales[axis] == 0 or not math.isfinite(farthest):
-            raise MapFormatError(
-                path,
-                f"a scale of {name} other than 0, and an offset, of finite coordinates",
-                f"scale {scales[axis]}, offset {offsets[axis]}",
-                f"bytes {AT_SCALES + 8 * axis} and {AT_OFFSETS + 8 * axis}",
+    def _wrong(self, expected: str, found: str, byte: int) -> MapFormatError:
+        return MapFormatError(self._path, expected, found, f"byte {byte}")
+
+    def _note_missing(self, kind: str, promised: int, found: int) -> None:
+        """Say where a header counts more records than there are; nobody can tell what they held."""
+        if promised != found:
+            self._notes.append(
+                f"The header counts {promised} {kind}s, but the file has {found}, as the outputs "
+                "will."
             )
-    return scales, offsets
+
+    def _public_header(self) -> tuple[int, bytes]:
+        """Return the minor version whose fields are there, and the public header block."""
+        header = self._file.read(SMALLEST_HEADER[5])
+        if header[:4] != b"LASF":
+            found = repr(header[:4])[1:] if header else "an empty file"
+            if header.startswith(b"version https://git-lfs"):
+                found = "a Git LFS pointer in place of the file"
+            raise self._wrong('the LAS signature "LASF"', found, 0)
+        if self._size < SMALLEST_HEADER[0]:
+            expected = f"a header of {SMALLEST_HEADER[0]} bytes"
+            raise MapFormatError(self._path, expected, f"the file's end at byte {self._size}")
+        major, minor = header[24], header[25]
+        if major != 1 or minor not in SMALLEST_HEADER:
+            raise self._wrong("LAS version 1.0 to 1.5", f"{major}.{minor}", 24)
+        (size,) = struct.unpack_from("<H", header, AT_HEADER_SIZE)
+        whole = SMALLEST_HEADER[minor]
+        if not SMALLEST_HEADER[0] <= size <= self._size:
+            expected = f"a header of {whole} bytes or more within the file's {self._size}"
+            raise self._wrong(expected, f"header size {size}", AT_HEADER_SIZE)
+        if size < whole:
+            self._notes.append(
+                f"The header has {size} bytes, and that of LAS 1.{minor} has {whole}: what should "
+                "follow is taken as not there."
+            )
+            minor = max(each for each, smallest in SMALLEST_HEADER.items() if smallest <= size)
+        return minor, header[:size]
+
+    def _point_layout(self) -> tuple[int, bool, int]:
+        """Return point format, whether it is compressed, and the bytes of a point."""
+        stored = self._header[AT_POINT_FORMAT]
+        point_format = stored & ~_COMPRESSED
+        if point_format >= len(RECORD_LENGTHS):
+            raise self._wrong("point format 0 to 10", f"{point_format}", AT_POINT_FORMAT)
+        (length,) = self._unpack("<H", AT_RECORD_LENGTH)
+        least = RECORD_LENGTHS[point_format]
+        if length < least:
+            expected = f"points of {least} bytes or more (point format {point_format})"
+            raise self._wrong(expected, f"{length} bytes", AT_RECORD_LENGTH)
+        return point_format, bool(stored & _COMPRESSED), length
+
+    def _points_offset(self) -> int:
+        (offset,) = self._unpack("<I", AT_POINTS_OFFSET)
+        (end,) = self._unpack("<H", AT_HEADER_SIZE)
+        if not end <= offset <= self._size:
+            expected = f"points between the header's end ({end}) and the file's ({self._size})"
+            raise self._wrong(expected, f"offset to points {offset}", AT_POINTS_OFFSET)
+        if offset > _LARGEST_BLOCK:
+            expected = f"at most {_LARGEST_BLOCK} bytes before the points"
+            raise self._wrong(expected, f"{offset}", AT_POINTS_OFFSET)
+        return int(offset)
+
+    def _grid(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return scales and offsets, which no integer takes beyond what is finite."""
+        scales: tuple[float, float, float] = struct.unpack_from("<3d", self._header, AT_SCALES)
+        offsets: tuple[float, float, float] = struct.unpack_from("<3d", self._header, AT_OFFSETS)
+        for axis, (scale, offset) in enumerate(zip(scales, offsets, strict=True)):
+            if scale == 0 or not math.isfinite(abs(scale) * _LARGEST_GRID_COORDINATE + abs(offset)):
+                expected = (
+                    f"a scale of {'xyz'[axis]} other than 0, and an offset, of finite coordinates"
+                )
+                place = f"bytes {AT_SCALES + 8 * axis} and {AT_OFFSETS + 8 * axis}"
+                found = f"scale {scale}, offset {offset}"
+                raise MapFormatError(self._path, expected, found, place)
+        return scales, offsets
+
+    def _evlrs(self, points_offset: int) -> tuple[int, tuple[VariableLengthRecord, ...], int]:
+        """Return how many extended records there should be, the whole ones, and where these end."""
+        if self._minor < 4:
+            return 0, (), 0
+        start, count = self._unpack("<QI", AT_FIRST_EVLR)
+        records: list[VariableLengthRecord] = []
+        while len(records) < count and points_offset <= start <= self._size - _EVLR_HEADER:
+            self._file.seek(start)
+            head = self._file.read(_EVLR_HEADER)
+            size = _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
+            if start + size > self._size:
+                break
+            record = _record(head, start, size, b"")
+            if record.user_id == CRS_USER_ID and size <= _LARGEST_CRS:
+                record = replace(record, data=self._file.read(size - _EVLR_HEADER))
+            records.append(record)
+            start += size
+        return count, tuple(records), start
+
+    def _waveforms(self, points_offset: int) -> tuple[int, int] | None:
+        """Find the record of waveform packets in the file; None where there is no whole one.
+
+        It has the header of an EVLR, in LAS 1.3 too.
+        """
+        start = self._unpack("<Q", AT_WAVEFORMS)[0] if self._minor >= 3 else 0
+        if start < points_offset or start + _EVLR_HEADER > self._size:
+            return None
+        self._file.seek(start + 20)
+        (size,) = struct.unpack("<Q", self._file.read(8))
+        end = start + _EVLR_HEADER + size
+        return (start, end) if end <= self._size else None
 
 
 def read_vlrs(block: bytes | bytearray) -> tuple[VariableLengthRecord, ...]:
@@ -303,46 +311,6 @@ def read_vlrs(block: bytes | bytearray) -> tuple[VariableLengthRecord, ...]:
     return tuple(records)
 
 
-def _read_evlrs(
-    file: BinaryIO, file_size: int, header: bytes, minor: int, points_offset: int
-) -> tuple[int, tuple[VariableLengthRecord, ...], int]:
-    """Return how many extended records there should be, the whole ones, and where these end."""
-    if minor < 4:
-        return 0, (), 0
-    start, count = struct.unpack_from("<QI", header, AT_FIRST_EVLR)
-    records: list[VariableLengthRecord] = []
-    while len(records) < count and points_offset <= start <= file_size - _EVLR_HEADER:
-        file.seek(start)
-        head = file.read(_EVLR_HEADER)
-        size = _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
-        if start + size > file_size:
-            break
-        record = _record(head, start, size, b"")
-        if record.user_id == CRS_USER_ID and size <= _LARGEST_CRS:
-            record = replace(record, data=file.read(size - _EVLR_HEADER))
-        records.append(record)
-        start += size
-    return count, tuple(records), start
-
-
 def _record(head: bytes | bytearray, start: int, size: int, data: bytes) -> VariableLengthRecord:
     user_id = bytes(head[2:18]).split(b"\0")[0].decode("latin-1")
     return VariableLengthRecord(user_id, struct.unpack_from("<H", head, 18)[0], start, size, data)
-
-
-def _find_waveforms(
-    file: BinaryIO, file_size: int, header: bytes, minor: int, points_offset: int
-) -> tuple[int, int] | None:
-    """Find the record of waveform packets in the file; None where there is none, or no whole one.
-
-    It has the header of an EVLR, in LAS 1.3 too.
-    """
-    if minor < 3:
-        return None
-    (start,) = struct.unpack_from("<Q", header, AT_WAVEFORMS)
-    if start < points_offset or start + _EVLR_HEADER > file_size:
-        return None
-    file.seek(start + 20)
-    (size,) = struct.unpack("<Q", file.read(8))
-    end = start + _EVLR_HEADER + size
-    return (start, end) if end <= file_size else None

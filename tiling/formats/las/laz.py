@@ -62,11 +62,6 @@ class LazPoints:
 
     The file stays open for as long as this object is used. As many chunks are decompressed at a
     time as there are threads, see `usable_threads`.
-
-    Raises
-    ------
-    MapFormatError
-        When chunks or layers contradict the file's size.
     """
 
     def __init__(
@@ -88,17 +83,13 @@ class LazPoints:
         self._row = rows.start
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
-        """Decompress the next points.
-
-        Parameters
-        ----------
-        records : (n, record_length) uint8 array
-            Where the next n points go; contiguous.
+        """Decompress the next points into (n, record_length), contiguous.
 
         Raises
         ------
         MapFormatError
-            When the compressed bytes end too early or make no sense.
+            When the compressed bytes end too early or make no sense, or chunks or layers contradict
+            the file's size.
         """
         done = 0
         while done < len(records):
@@ -221,19 +212,12 @@ def _refuse_points(
 
 
 class _Window(io.RawIOBase):
-    """Part of a file as a file of its own, dressed as lazrs expects compressed points.
-
-    Attributes
-    ----------
-    fault : OSError or None
-        Why the file could not be read; lazrs keeps no more of it than a text.
-    bytes_behind : int
-        Bytes after the points.
-    """
+    """Part of a file as a file of its own, dressed as lazrs expects compressed points."""
 
     def __init__(self, file: BinaryIO, start: int, end: int, has_chunks: bool) -> None:
         super().__init__()
         self.fault: OSError | None = None
+        """Why the file could not be read; lazrs keeps no more of it than a text."""
         self._file = file
         self._start = start
         self._head = struct.pack("<q", 8 + end - start) if has_chunks else b""
@@ -279,13 +263,7 @@ class _Window(io.RawIOBase):
 
 
 class LaszipPoints:
-    """Decompresses with LASzip itself what lazrs cannot, see `Compression.needs_laszip`.
-
-    Raises
-    ------
-    MapFormatError
-        When chunks or layers contradict the file's size.
-    """
+    """Decompresses with LASzip itself what lazrs cannot, see `Compression.needs_laszip`."""
 
     def __init__(
         self, file: BinaryIO, header: LasHeader, compression: Compression, rows: range

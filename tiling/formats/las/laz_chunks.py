@@ -13,9 +13,9 @@ from itertools import accumulate, pairwise
 from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import check_leftover
 from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz_header import Compression, refuse
-from tiling.formats.leftover import check_leftover
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
@@ -43,10 +43,7 @@ def find_chunks(
 ) -> Iterator[Chunk]:
     """Yield the chunks that hold some rows, each checked before it meets a decompressor.
 
-    Raises
-    ------
-    MapFormatError
-        When chunks or layers contradict the file's size.
+    Chunks and layers that contradict the file's size are refused.
     """
     if not rows:
         return
@@ -78,14 +75,9 @@ def knows_chunks(file: BinaryIO, header: LasHeader, compression: Compression) ->
 
 
 def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compression) -> None:
-    """Check that the chunks are for the points that the header counts, and for no more.
+    """Refuse chunks for more points than the header counts.
 
     Where points are not in layers, the last chunk does not say how many it has.
-
-    Raises
-    ------
-    MapFormatError
-        When there are more points in them.
     """
     count, size = header.point_count, compression.chunk_size
     try:
@@ -95,10 +87,8 @@ def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compressio
         if compression.has_variable_chunks:
             raise
         if not count:
-            smallest = header.record_length
-            check_leftover(
-                file, header.points_offset, header.file_size, smallest, header.path, "0 points"
-            )
+            start, size = header.points_offset, header.record_length
+            check_leftover(file, start, header.file_size, size, header.path, "0 points")
         return
     # A chunk begins with its first point as it is; writers may end with one that has none.
     filled = [points for points, stored in table if stored >= header.record_length]
@@ -119,9 +109,8 @@ def check_chunk_count(file: BinaryIO, header: LasHeader, compression: Compressio
 
 def _first_chunk_start(header: LasHeader) -> int:
     """Return where the first chunk begins, after the offset to the chunk table."""
-    start = header.points_offset + 8
-    if start > header.file_size:
-        end = header.file_size
+    start, end = header.points_offset + 8, header.file_size
+    if start > end:
         refuse(header, "8 bytes for the offset to the chunk table", "the file's end", end)
     return start
 
@@ -183,19 +172,10 @@ def _layered_chunk_end(
 def _read_chunk_table(
     file: BinaryIO, header: LasHeader, compression: Compression
 ) -> tuple[int, list[tuple[int, int]]]:
-    """Read the chunk table.
+    """Return the byte of the chunk table, and points and bytes of each chunk.
 
-    Returns
-    -------
-    start : int
-        Byte of the chunk table.
-    table : list of (int, int)
-        Points and bytes of each chunk; the points only where chunks vary in size.
-
-    Raises
-    ------
-    MapFormatError
-        When the table is not where it should be, or too long for what it describes.
+    The points are there only where chunks vary in size. It is refused where it is not in its place,
+    or too long for what it describes.
     """
     points_offset = header.points_offset
     start = _read_chunk_table_offset(file, header, points_offset)
@@ -204,12 +184,8 @@ def _read_chunk_table(
     version, count = struct.unpack("<II", file.read(8))
     # Writers may end the table with a chunk of no points.
     if version != 0 or count > (start - points_offset - 8) // smallest_chunk + 1:
-        refuse(
-            header,
-            f"a chunk table of version 0 for {start - points_offset - 8} bytes of points",
-            f"version {version} and {count} chunks",
-            start,
-        )
+        expected = f"a chunk table of version 0 for {start - points_offset - 8} bytes of points"
+        refuse(header, expected, f"version {version} and {count} chunks", start)
     file.seek(start)
     window = io.BytesIO(file.read(8 + 64 + _LARGEST_CHUNK_ENTRY * count))
     try:
@@ -217,9 +193,8 @@ def _read_chunk_table(
     except BaseException as error:
         if not comes_from_lazrs(error):
             raise
-        raise MapFormatError(
-            header.path, f"a chunk table of {count} chunks", str(error), f"byte {start}"
-        ) from error
+        expected = f"a chunk table of {count} chunks"
+        raise MapFormatError(header.path, expected, str(error), f"byte {start}") from error
     return start, [(int(points), int(size)) for points, size in table]
 
 
@@ -233,12 +208,8 @@ def _read_chunk_table_offset(file: BinaryIO, header: LasHeader, points_offset: i
             file.seek(header.file_size - 8)
             (offset,) = struct.unpack("<q", file.read(8))
     if not points_offset + 8 <= offset <= header.file_size - 8:
-        refuse(
-            header,
-            f"a chunk table between the points and the file's end ({header.file_size})",
-            f"its offset {offset}",
-            points_offset,
-        )
+        expected = f"a chunk table between the points and the file's end ({header.file_size})"
+        refuse(header, expected, f"its offset {offset}", points_offset)
     return int(offset)
 
 

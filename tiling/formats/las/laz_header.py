@@ -12,8 +12,7 @@ from typing import Any, NoReturn
 from tiling.errors import MapFormatError
 from tiling.formats.las.header import RECORD_LENGTHS, LasHeader, VariableLengthRecord
 
-# It has no types that a checker can use.
-lazrs: Any = import_module("lazrs")
+lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
 _POINT_WISE, _POINT_WISE_CHUNKED, _LAYERED_CHUNKED = 1, 2, 3
 _VARIABLE_CHUNK_SIZE = 0xFFFFFFFF
@@ -129,12 +128,8 @@ def read_compression(header: LasHeader) -> Compression:
     allowed = (_LAYERED_CHUNKED,) if header.point_format >= 6 else (1, 2)
     if compressor not in allowed:
         names = " or ".join(map(str, allowed))
-        refuse(
-            header,
-            f"LASzip compressor {names} for point format {header.point_format}",
-            str(compressor),
-            start,
-        )
+        expected = f"LASzip compressor {names} for point format {header.point_format}"
+        refuse(header, expected, str(compressor), start)
     if coder != 0:
         refuse(header, "LASzip coder 0", str(coder), start + 2)
     if compressor != _POINT_WISE and chunk_size == 0:
@@ -162,12 +157,8 @@ def _check_items(header: LasHeader, stored: list[tuple[int, int, int]], at: int)
     versions = {version for _, _, version in stored}
     known = ({3}, {4}) if layered else ({1}, {2}, {1, 2})
     if versions not in known:
-        refuse(
-            header,
-            f"LASzip items of version {'3 or 4' if layered else '1 or 2'}",
-            f"version {max(versions)}",
-            at,
-        )
+        names = "3 or 4" if layered else "1 or 2"
+        refuse(header, f"LASzip items of version {names}", f"version {max(versions)}", at)
 
 
 def refuse(header: LasHeader, expected: str, found: str, at: int) -> NoReturn:

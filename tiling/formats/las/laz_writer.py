@@ -15,8 +15,7 @@ from tiling.formats.las.laz_header import Compression, own_compression
 from tiling.formats.las.surroundings import LasSummary, LasSurroundings
 from tiling.output_file import create_file
 
-# It has no types that a checker can use.
-lazrs: Any = import_module("lazrs")
+lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
 _CHUNK = 50_000
 """Points in a chunk, where this module says how many."""
@@ -46,7 +45,7 @@ class LazWriter(MapWriter):
         data = _followed_compression(header, compression)
         self._surroundings = LasSurroundings(header, data)
         vlr = lazrs.LazVlr(compression.data if data is None else data)
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
         try:
             self._surroundings.write_header(self._file)
             self._points = _chunks(self._file, vlr, point_count, threads)
@@ -72,9 +71,6 @@ class LazWriter(MapWriter):
             self._surroundings.write_after_points(self._file)
             self._file.seek(0)
             self._file.write(self._surroundings.completed_header(points_end, self._summary))
-
-    def _abandon(self) -> None:
-        self._file.close()
 
 
 def _followed_compression(header: LasHeader, compression: Compression) -> bytes | None:

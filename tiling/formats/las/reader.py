@@ -10,6 +10,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,10 +19,10 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.checks import check_leftover
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.fields import (
     LAST_SHORT_CLASS,
-    ExtendedLas,
     extended_header,
     extra_fields,
     standard_fields,
@@ -38,20 +39,13 @@ from tiling.formats.las.laz_chunks import check_chunk_count, knows_chunks
 from tiling.formats.las.laz_header import Compression, read_compression
 from tiling.formats.las.laz_writer import LazWriter
 from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
-from tiling.formats.leftover import check_leftover
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch
+from tiling.formats.points import Field, MapDescription, PointBatch, bytes_of, packed
 from tiling.grid import Grid, integers_in_records
 
 
 class LasReader(MapReader):
-    """Reads a LAS, LAZ or COPC file; COPC points come in the file's order.
-
-    Raises
-    ------
-    MapFormatError
-        When the header, or what it says of the points, contradicts the format or the file's size.
-    """
+    """Reads a LAS, LAZ or COPC file; COPC points come in the file's order."""
 
     sets_values = True
 
@@ -59,22 +53,14 @@ class LasReader(MapReader):
         self._header = read_header(path)
         self.bytes_per_point = self._header.record_length
         self._compression: Compression | None = None
+        self.seekable = self.writes_parts = not self._header.compressed
         if self._header.compressed:
             self._compression = read_compression(self._header)
         with path.open("rb") as file:
             notes = _check_behind_points(file, self._header, self._compression)
+            if self._compression is not None:
+                self.seekable = knows_chunks(file, self._header, self._compression)
         self.description = _describe(self._header, notes)
-
-    @property
-    def seekable(self) -> bool:
-        """Whether points are not compressed, or in chunks that can be found."""
-        return self._compression is None or self._has_known_chunks
-
-    @cached_property
-    def _has_known_chunks(self) -> bool:
-        assert self._compression is not None
-        with self._header.path.open("rb") as file:
-            return knows_chunks(file, self._header, self._compression)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield points whose `records` are (n, record_length) uint8."""
@@ -138,24 +124,36 @@ class LasReader(MapReader):
         threads = usable_threads(self.threads)
         return LazWriter(path, point_count, self._header, self._compression, threads)
 
-    @property
-    def writes_parts(self) -> bool:
-        """Whether points are not compressed."""
-        return self._compression is None
-
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts of an uncompressed file; see `MapReader.part_writer`."""
         if self._compression is not None:
             return super().part_writer(path, point_count)
         return LasPartWriter(path, point_count, self._header)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedLas:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further extra bytes; see `MapReader.extended`."""
         model = copy(self)
+        model.further = tuple(fields)
         model._header = extended_header(self._header, fields)
         if model._header.compressed:
             model._compression = read_compression(model._header)
-        return ExtendedLas(model, fields, self._header)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
+        """Return the records with further values; see `MapReader.extend`."""
+        return np.hstack([batch.records, bytes_of(packed(self.further, values))])
+
+    def with_classes(
+        self, records: NDArray[np.uint8], classification: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Set the classes of records; see `MapReader.with_classes`."""
+        if self._header.point_format < 6:
+            # The other three bits are flags: synthetic, key-point, withheld.
+            records[:, 15] &= np.uint8(0xFF ^ LAST_SHORT_CLASS)
+            records[:, 15] |= classification & np.uint8(LAST_SHORT_CLASS)
+        else:
+            records[:, 16] = classification
+        return records
 
     def _point_source(self, file: BinaryIO, rows: range) -> PointSource:
         if self._compression is None:
@@ -177,12 +175,10 @@ class _RawPoints:
     def read_into(self, records: NDArray[np.uint8]) -> None:
         found = self._file.readinto(records.reshape(-1).data)  # type: ignore[attr-defined]
         if found != records.size:
-            raise MapFormatError(
-                self._header.path,
-                f"{self._header.point_count} points",
-                "the file's end: it was cut after its header was read",
-                f"byte {self._file.tell()}",
-            )
+            expected = f"{self._header.point_count} points"
+            found = "the file's end: it was cut after its header was read"
+            at = f"byte {self._file.tell()}"
+            raise MapFormatError(self._header.path, expected, found, at)
 
 
 def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
@@ -254,28 +250,20 @@ def _check_behind_points(
     """Refuse points that the header does not count; return notes on other bytes.
 
     EVLRs and waveform packets have their place behind the points. Of compressed points the chunks
-    are counted; the last points of the last chunk are found missing when it is read.
-
-    Raises
-    ------
-    MapFormatError
-        When there are more points than the header counts, or others than it says.
+    are counted; the last points of the last chunk are found missing when it is read, and without
+    chunks it is known where decompression ends, unless there is no point.
     """
-    counted = f"{header.point_count} points"
+    gaps: list[tuple[int, int]] = []
     if compression is None:
-        notes: tuple[str, ...] = ()
-        for start, stop in _gaps(header):
-            size = header.record_length
-            notes += check_leftover(file, start, stop, size, header.path, counted)
-        return notes
-    if not compression.has_chunks:
-        if header.point_count:
-            return ()  # known where decompression ends
+        gaps = list(_gaps(header))
+    elif compression.has_chunks:
+        check_chunk_count(file, header, compression)
+    elif not header.point_count:
         stop = min([start for start, _ in _known(header)], default=header.file_size)
-        size = header.record_length
-        return check_leftover(file, header.points_offset, stop, size, header.path, counted)
-    check_chunk_count(file, header, compression)
-    return ()
+        gaps = [(header.points_offset, stop)]
+    counted, size = f"{header.point_count} points", header.record_length
+    notes = [check_leftover(file, *gap, size, header.path, counted) for gap in gaps]
+    return tuple(chain.from_iterable(notes))
 
 
 def _known(header: LasHeader) -> list[tuple[int, int]]:
@@ -293,11 +281,8 @@ def _gaps(header: LasHeader) -> Iterator[tuple[int, int]]:
     end = position = header.points_offset + header.point_count * header.record_length
     for start, stop in _known(header):
         if start < end:
-            raise MapFormatError(
-                header.path,
-                f"{header.point_count} points before what follows them at byte {start}",
-                f"points up to byte {end}",
-            )
+            expected = f"{header.point_count} points before what follows them at byte {start}"
+            raise MapFormatError(header.path, expected, f"points up to byte {end}")
         yield position, start
         position = max(position, stop)
     yield position, header.file_size

@@ -35,28 +35,18 @@ _RETURNS = 16
 
 @dataclass(slots=True)
 class LasSummary(PartSummary):
-    """What a header must know of some points.
-
-    Attributes
-    ----------
-    first, count : int
-        See `PartSummary`.
-    returns : (16,) int64 array
-        Points by number of return.
-    lowest, highest : list of three int
-        Bounds on the grid.
-    gps_time : (float, float)
-        The first and the last; the first is the later one where there is none.
-    point_format, minor_version : int
-        Of the file; they say where to look.
-    """
+    """What a header must know of some points."""
 
     point_format: int = 0
     minor_version: int = 0
+    """Of the file; they say where to look."""
     returns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_RETURNS, np.int64))
+    """(16,): points by number of return."""
     lowest: list[int] = field(default_factory=lambda: [np.iinfo(np.int32).max] * 3)
     highest: list[int] = field(default_factory=lambda: [np.iinfo(np.int32).min] * 3)
+    """Bounds on the grid, along each axis."""
     gps_time: tuple[float, float] = (np.inf, -np.inf)
+    """The first and the last; the first is the later one where there is none."""
 
     @classmethod
     def of(cls, header: LasHeader, first: int = 0) -> Self:

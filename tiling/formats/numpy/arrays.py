@@ -16,9 +16,9 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.parts import put_records
 from tiling.formats.points import Field, coordinate_names
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 _ALIGNMENT = 64
 _LONGEST_HEADER = 10_000
@@ -172,10 +172,7 @@ def organised_note(header: ArrayHeader) -> str:
 def read_array_header(stream: BinaryIO, path: Path, name: str = "array") -> ArrayHeader:
     """Read the header that `stream` begins with, and leave it before the values.
 
-    Raises
-    ------
-    MapFormatError
-        When it is not the header of an array; in the message it is called `name`.
+    What is not the header of an array is refused; in the message it is called `name`.
     """
     magic = npy.magic(1, 0)[:-2]
     start = stream.read(len(magic) + 2)
@@ -227,14 +224,10 @@ def _understood(text: bytes, version: int) -> tuple[tuple[int, ...], bool, np.dt
 
 
 class RowReader:
-    """Reads the rows of an array, some at a time.
+    """Reads the rows of an array from the first wanted on, some at a time.
 
-    Parameters
-    ----------
-    streams : sequence of binary files
-        One for each of `header.column_count`; the same one many times where it can jump about.
-    first_row : int
-        Where to begin.
+    There is a stream for each of `header.column_count`; the same one many times where it can jump
+    about.
     """
 
     def __init__(
@@ -252,12 +245,7 @@ class RowReader:
         self._row = first_row
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Read the next `count` rows.
-
-        Returns
-        -------
-        (count,) array of `header.row_bytes` wide void
-            In Fortran order, the elements of a row are gathered.
+        """Read the next rows, (count,) of `header.row_bytes` bytes, elements gathered.
 
         Raises
         ------
@@ -276,12 +264,9 @@ class RowReader:
             stream.seek(start)
             content = stream.read(count * width)
             if len(content) != count * width:
-                raise MapFormatError(
-                    self._path,
-                    f"{header.data_bytes} bytes of {self._name} ({header})",
-                    f"the end at byte {start + len(content)}",
-                    at=f"byte {start}",
-                )
+                expected = f"{header.data_bytes} bytes of {self._name} ({header})"
+                found = f"the end at byte {start + len(content)}"
+                raise MapFormatError(self._path, expected, found, f"byte {start}")
             table[:, column] = np.frombuffer(content, dtype=table.dtype)
         self._row += count
         return table.view(f"V{header.row_bytes}").reshape(count)
@@ -295,16 +280,9 @@ class RowReader:
 def put_rows(
     file: BinaryIO, header: ArrayHeader, row_count: int, first: int, rows: NDArray[np.void]
 ) -> None:
-    """Write rows to their places in the file of an array; the header is for the caller to write.
+    """Write rows, as `RowReader.read` gives them, to their places from row `first` on.
 
-    Parameters
-    ----------
-    file : binary file
-        Able to seek.
-    row_count, first : int
-        Rows that the array will have, and the place of the first of these.
-    rows : (n,) array
-        As `RowReader.read` gives them.
+    The array will have `row_count` rows; its header is for the caller to write.
     """
     columns = header.column_count
     if header.row_bytes:

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import ExtendedRecords
-from tiling.formats.leftover import check_leftover
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
     RowReader,
@@ -24,8 +23,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, longer_records
 
 
 class NpyReader(MapReader):
@@ -33,11 +31,6 @@ class NpyReader(MapReader):
 
     Type, byte order, the order of the elements, and further columns or fields are kept. Arrays of
     Python objects are refused: nothing is ever unpickled.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not such an array, or the file is too small for it.
     """
 
     seekable = sets_values = writes_parts = True
@@ -105,7 +98,7 @@ class NpyReader(MapReader):
         """Open a writer of an array like this one; see `MapReader.writer`."""
         return SinglePartWriter(self.part_writer(path, point_count))
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further fields or columns; see `MapReader.extended`."""
         model = copy(self)
         header = self._header.extended(fields)
@@ -116,7 +109,15 @@ class NpyReader(MapReader):
         if not header.dtype.names:
             # A column has the type of the others.
             fields = [replace(field, dtype=header.dtype.name) for field in fields]
-        return ExtendedRecords(model, fields, "<" if header.dtype.names else header.dtype.str[0])
+        model.further = tuple(fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        """Return the rows with further values; see `MapReader.extend`."""
+        dtype = self._header.dtype
+        return longer_records(
+            batch.records, self.further, values, "<" if dtype.names else dtype.str[0]
+        )
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts; see `MapReader.part_writer`."""
@@ -164,11 +165,6 @@ class RawReader(NpyReader):
     """Reads bare records of float32, as KITTI and nuScenes store scans: the size tells the points.
 
     `.bin` has x, y, z and intensity (16 bytes), `.pcd.bin` the ring as well (20 bytes).
-
-    Raises
-    ------
-    MapFormatError
-        When the size is not that of whole records, or the file is known to be another thing.
     """
 
     def __init__(self, path: Path) -> None:

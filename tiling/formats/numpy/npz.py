@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter
-from tiling.formats.extension import joined, packed
-from tiling.formats.leftover import check_leftover
+from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
     RowReader,
@@ -26,8 +25,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.numpy.npy import array_fields
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, joined, packed
 from tiling.output_file import create_file
 
 _POINT_ARRAYS = ("points", "xyz", "arr_0")
@@ -54,11 +52,6 @@ class NpzReader(MapReader):
     x, y and z, or else three arrays x, y and z, or else the only array that can be meant. Every
     other array of N rows belongs to the points and is filtered along; any other entry, and whatever
     holds Python objects, is copied as it is.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not such an archive, or its entries are too small for their arrays.
     """
 
     seekable = False  # an entry is unpacked from its beginning
@@ -149,7 +142,7 @@ class NpzReader(MapReader):
         """Open a writer of an archive like this one; see `MapReader.writer`."""
         return _NpzWriter(path, point_count, self._path, self._members)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further arrays; see `MapReader.extended`."""
         taken = {member.name for member in self._members}
         members = list(self._members)
@@ -165,7 +158,18 @@ class NpzReader(MapReader):
             members.append(_Member(info, field.name, header, is_per_point=True))
         model = copy(self)
         model._members = tuple(members)
-        return _ExtendedArrays(model, fields)
+        model.further = tuple(fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        """Return the rows with those of further arrays; see `MapReader.extend`."""
+        head = batch.records.dtype
+        tail = packed(self.further, values)
+        further = [
+            (f"array {number}", f"V{tail.dtype[field.name].itemsize}")
+            for number, field in enumerate(self.further, start=len(head.names))
+        ]
+        return joined(batch.records, tail).view(np.dtype([*head.descr, *further]))
 
     def _xyz(self, arrays: dict[str, NDArray[np.void]]) -> NDArray[np.float64]:
         headers = dict(self._columns)
@@ -177,20 +181,6 @@ class NpzReader(MapReader):
             for column, name in enumerate(names):
                 xyz[:, column] = arrays[name].view(headers[name].dtype)
         return xyz
-
-
-class _ExtendedArrays(ExtendedFormat):
-    """Archives of points with further arrays."""
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        head = batch.records.dtype
-        tail = packed(self.fields, values)
-        count = len(head.names)
-        further = [
-            (f"array {count + n}", f"V{np.dtype(field.dtype).itemsize}")
-            for n, field in enumerate(self.fields)
-        ]
-        return joined(batch.records, tail).view(np.dtype([*head.descr, *further]))
 
 
 class _NpzWriter(MapWriter):
@@ -205,7 +195,7 @@ class _NpzWriter(MapWriter):
         super().__init__(path, point_count)
         self._source = source
         self._members = members
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
         self._archive = zipfile.ZipFile(self._file, "w")
         self._stack = ExitStack()
         self._arrays: dict[str, tuple[BinaryIO, ArrayHeader]] = {}
@@ -353,10 +343,7 @@ def _notes(
 
 
 def _unorganised(header: ArrayHeader | None, points: ArrayHeader) -> ArrayHeader | None:
-    """Return the header of an array with an entry for each of some organised points, a point a row.
-
-    Others stay as they are.
-    """
+    """Return the header of an array of some organised points as a point a row; others as is."""
     if header is None or header.fortran_order or header.shape[:2] != points.shape[:2]:
         return header
     return replace(header, shape=(points.unorganised.row_count, *header.shape[2:]))

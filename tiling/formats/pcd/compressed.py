@@ -44,16 +44,7 @@ Bytes = NDArray[np.uint8]
 
 
 def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Iterator[Bytes]:
-    """Decompress the next `packed_size` bytes of a stream.
-
-    Parameters
-    ----------
-    stream : binary file
-        At the first compressed byte.
-    packed_size, size : int
-        Bytes before and after decompression, as the file gives them.
-    path : Path
-        The file, for messages.
+    """Decompress the next `packed_size` bytes of a stream into `size` bytes, as the file says.
 
     Yields
     ------
@@ -100,17 +91,9 @@ def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Ite
 
 
 def compress(block: Bytes) -> bytes:
-    """Compress a block; the results of successive blocks make one stream.
+    """Compress a block, (n,) of less than 2 GiB, into n + n / 32 + 1 bytes at most.
 
-    Parameters
-    ----------
-    block : (n,) uint8 array
-        Less than 2 GiB; `BLOCK` bytes are a good size.
-
-    Returns
-    -------
-    bytes
-        At most n + n / 32 + 1 of them.
+    The results of successive blocks make one stream; `BLOCK` bytes are a good size.
     """
     packed = np.empty(len(block) + len(block) // LONGEST_LITERAL + 8, dtype=np.uint8)
     latest = np.full(1 << _HASH_BITS, -1, dtype=np.int32)
@@ -238,24 +221,25 @@ class ColumnSpool:
     def write_points(self, first_row: int, records: NDArray[np.void]) -> None:
         """Put the records of consecutive points into their columns."""
         rows = records.view(np.uint8).reshape(len(records), -1)
-        start = column = 0
-        for width in self._widths:
-            self._file.seek(column + first_row * width)
-            self._write(rows[:, start : start + width].tobytes())
-            start += width
-            column += width * self._point_count
+        for part in self._columns(first_row):
+            self._write(rows[:, part].tobytes())
 
     def read_points(self, first_row: int, count: int) -> NDArray[np.void]:
         """Gather the records of consecutive points from their columns."""
         rows = np.empty((count, sum(self._widths)), dtype=np.uint8)
-        start = column = 0
-        for width in self._widths:
-            self._file.seek(column + first_row * width)
+        for part in self._columns(first_row):
+            width = part.stop - part.start
             values = np.frombuffer(self._file.read(count * width), dtype=np.uint8)
-            rows[:, start : start + width] = values.reshape(count, width)
-            start += width
-            column += width * self._point_count
+            rows[:, part] = values.reshape(count, width)
         return rows.view(f"V{rows.shape[1]}")[:, 0]
+
+    def _columns(self, first_row: int) -> Iterator[slice]:
+        """Go to a row of each column in turn; yield the bytes of a record that are in it."""
+        start = 0
+        for width in self._widths:
+            self._file.seek(start * self._point_count + first_row * width)
+            yield slice(start, start + width)
+            start += width
 
     def close(self) -> None:
         """Remove the file."""

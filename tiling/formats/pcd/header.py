@@ -31,18 +31,12 @@ ENCODINGS = {
 }
 
 _TYPES = {
-    ("I", 1): "int8",
-    ("I", 2): "int16",
-    ("I", 4): "int32",
-    ("I", 8): "int64",
-    ("U", 1): "uint8",
-    ("U", 2): "uint16",
-    ("U", 4): "uint32",
-    ("U", 8): "uint64",
-    ("F", 4): "float32",
-    ("F", 8): "float64",
+    **{("I", size): f"int{8 * size}" for size in (1, 2, 4, 8)},
+    **{("U", size): f"uint{8 * size}" for size in (1, 2, 4, 8)},
+    **{("F", size): f"float{8 * size}" for size in (4, 8)},
     ("B", 1): "bool",
 }
+"""By TYPE and SIZE."""
 
 _KEYWORDS = (
     *("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT"),
@@ -156,14 +150,6 @@ class PcdHeader:
         return tuple(Field(field.name, field.dtype, field.count) for field in self.fields)
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """The values of one keyword, and the line, from 1, where they stand."""
-
-    values: tuple[str, ...]
-    line: int
-
-
 def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
     """Read the header at the beginning of a stream, and leave the stream at the first point.
 
@@ -172,159 +158,147 @@ def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
     MapFormatError
         When it is not the header of a PCD file with x, y and z.
     """
-    lines, entries = _read_entries(stream, path)
-    fields = _fields(entries, path)
-    width, height = _extent(entries, path)
-    viewpoint = _viewpoint(entries, path)
-    kind = entries["DATA"].values[0].lower()
-    if kind not in ENCODINGS:
-        raise MapFormatError(
-            path,
-            "DATA ascii, binary or binary_compressed",
-            repr(_shortened(entries["DATA"].values[0])),
-            f"line {entries['DATA'].line}",
-        )
-    coordinates = _coordinates(fields, entries, path)
-    return PcdHeader(lines, fields, coordinates, width, height, ENCODINGS[kind], viewpoint)
+    said = _Said(path)
+    said.read(stream)
+    fields = _fields(said)
+    width, height = _extent(said)
+    viewpoint = _viewpoint(said)
+    word = said.values["DATA"][0]
+    if word.lower() not in ENCODINGS:
+        raise said.wrong("DATA ascii, binary or binary_compressed", repr(_shortened(word)), "DATA")
+    encoding = ENCODINGS[word.lower()]
+    coordinates = _coordinates(fields, said)
+    return PcdHeader(tuple(said.lines), fields, coordinates, width, height, encoding, viewpoint)
 
 
-def _read_entries(stream: BinaryIO, path: Path) -> tuple[tuple[bytes, ...], dict[str, _Entry]]:
-    """Read lines up to DATA; return them and the values that each keyword has."""
-    lines: list[bytes] = []
-    entries: dict[str, _Entry] = {}
-    while "DATA" not in entries:
-        at = f"line {len(lines) + 1}"
-        line = stream.readline(LONGEST_HEADER)
-        lines.append(line)
-        if not line:
-            found = "the end of the file" if stream.tell() else "an empty file"
-            raise MapFormatError(path, "a PCD header that ends in a DATA line", found, at)
-        if stream.tell() >= LONGEST_HEADER:
-            found = f"none in the first {LONGEST_HEADER} bytes"
-            raise MapFormatError(path, "a DATA line", found)
-        words = line.decode("utf-8", "replace").split()
-        if not words or words[0].startswith("#"):
-            continue
-        if line.startswith(b"version https://git-lfs"):
-            found = "a Git LFS pointer, which stands for a file that was not fetched"
-            raise MapFormatError(path, "a PCD file", found)
-        keyword, *values = words
+class _Said:
+    """The lines of a header, the values that each keyword has, and in which line, from 1."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.lines: list[bytes] = []
+        self.values: dict[str, list[str]] = {}
+        self._places: dict[str, int] = {}
+
+    def read(self, stream: BinaryIO) -> None:
+        """Read lines up to DATA."""
+        while "DATA" not in self.values:
+            at = f"line {len(self.lines) + 1}"
+            line = stream.readline(LONGEST_HEADER)
+            self.lines.append(line)
+            if not line:
+                found = "the end of the file" if stream.tell() else "an empty file"
+                raise MapFormatError(self.path, "a PCD header that ends in a DATA line", found, at)
+            if stream.tell() >= LONGEST_HEADER:
+                found = f"none in the first {LONGEST_HEADER} bytes"
+                raise MapFormatError(self.path, "a DATA line", found)
+            words = line.decode("utf-8", "replace").split()
+            if line.startswith(b"version https://git-lfs"):
+                found = "a Git LFS pointer, which stands for a file that was not fetched"
+                raise MapFormatError(self.path, "a PCD file", found)
+            if words and not words[0].startswith("#"):
+                self._take(words[0], words[1:], at)
+
+    def _take(self, keyword: str, values: list[str], at: str) -> None:
         if keyword not in _KEYWORDS:
             found = repr(_shortened(keyword))
-            raise MapFormatError(path, "a keyword of a PCD header", found, at)
+            raise MapFormatError(self.path, "a keyword of a PCD header", found, at)
         keyword = "FIELDS" if keyword == "COLUMNS" else keyword
-        if keyword in entries:
-            raise MapFormatError(path, f"one {keyword} line", "a second one", at)
+        if keyword in self.values:
+            raise MapFormatError(self.path, f"one {keyword} line", "a second one", at)
         if not values:
-            raise MapFormatError(path, f"values after {keyword}", "none", at)
-        entries[keyword] = _Entry(tuple(values), len(lines))
-    return tuple(lines), entries
+            raise MapFormatError(self.path, f"values after {keyword}", "none", at)
+        self.values[keyword] = values
+        self._places[keyword] = len(self.lines)
+
+    def wrong(self, expected: str, found: str, keyword: str) -> MapFormatError:
+        """Return the error of a keyword's line."""
+        return MapFormatError(self.path, expected, found, f"line {self._places[keyword]}")
+
+    def numbers(self, keyword: str, default: int, count: int) -> list[int]:
+        """Return a keyword's numbers, or `count` times the default where it is missing."""
+        for value in self.values.get(keyword, ()):
+            # Python would take `1_000`, and digits of other scripts, too.
+            if not (value.isascii() and value.isdigit() and len(value) <= 18):
+                expected = f"a whole number after {keyword}"
+                raise self.wrong(expected, repr(_shortened(value)), keyword)
+        return [int(value) for value in self.values.get(keyword, [str(default)] * count)]
+
+    def number(self, keyword: str) -> int:
+        """Return a keyword's only number, 0 where it is missing."""
+        found = len(self.values.get(keyword, "0"))
+        if found != 1:
+            raise self.wrong(f"one value of {keyword}", f"{found}", keyword)
+        return self.numbers(keyword, 0, 1)[0]
 
 
-def _fields(entries: dict[str, _Entry], path: Path) -> tuple[PcdField, ...]:
+def _fields(said: _Said) -> tuple[PcdField, ...]:
     """Combine FIELDS, SIZE, TYPE and COUNT; those that old files lack have PCL's defaults."""
-    if "FIELDS" not in entries:
-        raise MapFormatError(path, "a FIELDS line before DATA", "none")
-    names = entries["FIELDS"].values
+    if "FIELDS" not in said.values:
+        raise MapFormatError(said.path, "a FIELDS line before DATA", "none")
+    names = said.values["FIELDS"]
     for keyword in ("SIZE", "TYPE", "COUNT"):
-        if keyword in entries and len(entries[keyword].values) != len(names):
-            found = str(len(entries[keyword].values))
-            at = f"line {entries[keyword].line}"
-            raise MapFormatError(
-                path, f"{len(names)} values of {keyword}, one for each of FIELDS", found, at
-            )
-    sizes = _numbers(entries, "SIZE", 4, len(names), path)
-    counts = _numbers(entries, "COUNT", 1, len(names), path)
-    types = entries["TYPE"].values if "TYPE" in entries else ("F",) * len(names)
-    fields = []
-    offset = 0
+        found = len(said.values.get(keyword, names))
+        if found != len(names):
+            expected = f"{len(names)} values of {keyword}, one for each of FIELDS"
+            raise said.wrong(expected, f"{found}", keyword)
+    sizes, counts = said.numbers("SIZE", 4, len(names)), said.numbers("COUNT", 1, len(names))
+    types = said.values.get("TYPE", ["F"] * len(names))
+    fields, offset = [], 0
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
         if (kind.upper(), size) not in _TYPES:
-            at = _line(entries, "TYPE" if "TYPE" in entries else "SIZE")
             expected = "TYPE I or U of SIZE 1, 2, 4 or 8, or F of 4 or 8"
-            raise MapFormatError(path, expected, f"{_shortened(kind)} of {size}", at)
+            keyword = "TYPE" if "TYPE" in said.values else "SIZE"
+            raise said.wrong(expected, f"{_shortened(kind)} of {size}", keyword)
         if count == 0:
-            raise MapFormatError(path, "a COUNT of 1 or more", "0", _line(entries, "COUNT"))
+            raise said.wrong("a COUNT of 1 or more", "0", "COUNT")
         fields.append(PcdField(name, _TYPES[kind.upper(), size], size, count, offset))
         offset += size * count
     if offset > LARGEST_RECORD:
-        raise MapFormatError(path, f"points of at most {LARGEST_RECORD} bytes", f"{offset} bytes")
+        expected = f"points of at most {LARGEST_RECORD} bytes"
+        raise MapFormatError(said.path, expected, f"{offset} bytes")
     return tuple(fields)
 
 
-def _coordinates(
-    fields: tuple[PcdField, ...], entries: dict[str, _Entry], path: Path
-) -> tuple[PcdField, PcdField, PcdField]:
+def _coordinates(fields: tuple[PcdField, ...], said: _Said) -> tuple[PcdField, PcdField, PcdField]:
     """Find x, y and z, the first of each name."""
     by_name = {field.name: field for field in reversed(fields)}
     names = coordinate_names(by_name)
     if names is None:
         found = _shortened(" ".join(field.name for field in fields))
-        raise MapFormatError(path, "x, y and z among FIELDS", found, _line(entries, "FIELDS"))
+        raise said.wrong("x, y and z among FIELDS", found, "FIELDS")
     for name in names:
         if by_name[name].count != 1:
-            found = str(by_name[name].count)
-            raise MapFormatError(path, f"a COUNT of 1 for {name}", found, _line(entries, "COUNT"))
+            raise said.wrong(f"a COUNT of 1 for {name}", f"{by_name[name].count}", "COUNT")
     x, y, z = names
     return by_name[x], by_name[y], by_name[z]
 
 
-def _extent(entries: dict[str, _Entry], path: Path) -> tuple[int, int]:
+def _extent(said: _Said) -> tuple[int, int]:
     """Return the width and height; as PCL does, take 0 for a line that is not there."""
-    width = _number(entries, "WIDTH", path)
-    height = _number(entries, "HEIGHT", path)
-    points = _number(entries, "POINTS", path)
-    if "WIDTH" not in entries and "POINTS" not in entries:
-        raise MapFormatError(path, "a WIDTH or POINTS line before DATA", "neither")
+    width, height, points = map(said.number, ("WIDTH", "HEIGHT", "POINTS"))
+    if "WIDTH" not in said.values and "POINTS" not in said.values:
+        raise MapFormatError(said.path, "a WIDTH or POINTS line before DATA", "neither")
     if width == 0 and height == 0:
         width = points
     height = height or 1
-    if "POINTS" in entries and width * height != points:
-        raise MapFormatError(
-            path, f"POINTS {width * height} = WIDTH x HEIGHT", str(points), _line(entries, "POINTS")
-        )
+    if "POINTS" in said.values and width * height != points:
+        raise said.wrong(f"POINTS {width * height} = WIDTH x HEIGHT", f"{points}", "POINTS")
     return width, height
 
 
-def _viewpoint(entries: dict[str, _Entry], path: Path) -> tuple[float, ...] | None:
-    if "VIEWPOINT" not in entries:
+def _viewpoint(said: _Said) -> tuple[float, ...] | None:
+    if "VIEWPOINT" not in said.values:
         return None
-    values = entries["VIEWPOINT"].values
+    values = said.values["VIEWPOINT"]
     try:
         numbers = [float(value) for value in values]
     except ValueError:
         numbers = []
     if len(numbers) < 7:
         found = repr(_shortened(" ".join(values)))
-        raise MapFormatError(path, "7 numbers in VIEWPOINT", found, _line(entries, "VIEWPOINT"))
+        raise said.wrong("7 numbers in VIEWPOINT", found, "VIEWPOINT")
     return tuple(numbers[:7])
-
-
-def _number(entries: dict[str, _Entry], keyword: str, path: Path) -> int:
-    """Return a keyword's only number, 0 where it is missing."""
-    if keyword in entries and len(entries[keyword].values) != 1:
-        found = str(len(entries[keyword].values))
-        raise MapFormatError(path, f"one value of {keyword}", found, _line(entries, keyword))
-    return _numbers(entries, keyword, 0, 1, path)[0]
-
-
-def _numbers(
-    entries: dict[str, _Entry], keyword: str, default: int, count: int, path: Path
-) -> tuple[int, ...]:
-    """Return a keyword's numbers, or `count` times the default where it is missing."""
-    if keyword not in entries:
-        return (default,) * count
-    for value in entries[keyword].values:
-        # Python would take `1_000`, and digits of other scripts, too.
-        if not (value.isascii() and value.isdigit() and len(value) <= 18):
-            found = repr(_shortened(value))
-            at = _line(entries, keyword)
-            raise MapFormatError(path, f"a whole number after {keyword}", found, at)
-    return tuple(int(value) for value in entries[keyword].values)
-
-
-def _line(entries: dict[str, _Entry], keyword: str) -> str:
-    return f"line {entries[keyword].line}"
 
 
 def _shortened(text: str) -> str:

@@ -23,13 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter, TextWriter
-from tiling.formats.extension import ExtendedRecords, ExtendedText
-from tiling.formats.leftover import check_leftover
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter, TextWriter
+from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, put_records
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
 from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
-from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
+from tiling.formats.points import (
+    Field,
+    MapDescription,
+    PointBatch,
+    longer_records,
+    longer_rows,
+    only_rows,
+)
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
 from tiling.output_file import create_file
 
@@ -41,14 +47,7 @@ _PCL_TYPES = {"label": "uint32"}
 
 
 class PcdReader(MapReader):
-    """Reads a PCD file.
-
-    Raises
-    ------
-    MapFormatError
-        When the header is not one of a PCD file with x, y and z, or promises more than the file
-        can hold.
-    """
+    """Reads a PCD file."""
 
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
@@ -66,6 +65,9 @@ class PcdReader(MapReader):
             organised = f"The organised cloud ({shape}) becomes an unorganised one, of HEIGHT 1."
             notes = (organised, *notes)
         self.bytes_per_point = self._header.record_size
+        # Compressed points are columns.
+        self.seekable = self.writes_parts = self._header.encoding == "binary"
+        self.sets_values = self._header.encoding != "ascii"
         self.description = MapDescription(
             path=self._path,
             format=f"PCD {self._header.encoding}",
@@ -75,11 +77,6 @@ class PcdReader(MapReader):
             notes=notes,
             viewpoint=self._header.viewpoint,
         )
-
-    @property
-    def seekable(self) -> bool:
-        """Whether the points are records of one size; compressed ones are columns."""
-        return self._header.encoding == "binary"
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         if self._header.encoding == "ascii":
@@ -95,31 +92,30 @@ class PcdReader(MapReader):
         """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
         if self._header.encoding == "ascii":
             return TextWriter(path, point_count, self._header.for_points(point_count))
-        if self._header.encoding == "binary":
+        if self.writes_parts:
             return SinglePartWriter(self.part_writer(path, point_count))
         widths = tuple(field.width for field in self._stored)
         return PcdCompressedWriter(path, point_count, self._header, widths)
 
-    @property
-    def writes_parts(self) -> bool:
-        """Whether the points are records of one size; compressed ones are columns."""
-        return self._header.encoding == "binary"
-
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
-        if self._header.encoding != "binary":
+        if not self.writes_parts:
             return super().part_writer(path, point_count)
         return PcdBinaryParts(path, point_count, self._header)
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further fields; see `MapReader.extended`."""
         fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
         model = copy(self)
+        model.further = tuple(fields)
         model._header = self._header.extended(fields)
         model._stored = (*self._stored, *model._header.fields[-len(fields) :])
-        if self._header.encoding == "ascii":
-            return ExtendedText(model, fields)
-        return ExtendedRecords(model, fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
+        """Return the records with further values; see `MapReader.extend`."""
+        longer = longer_rows if self._header.encoding == "ascii" else longer_records
+        return longer(batch.records, self.further, values)
 
     def _check_size(self, size: int) -> None:
         """Compare the points announced with the bytes that follow the header."""
@@ -129,12 +125,8 @@ class PcdReader(MapReader):
             # Every value has a digit and something after it, save the last one.
             least = header.point_count * header.value_count * 2 - 1
         if least > size:
-            raise MapFormatError(
-                self._path,
-                f"at least {least} bytes for {header.point_count} points",
-                str(size),
-                f"byte {header.data_offset}",
-            )
+            expected = f"at least {least} bytes for {header.point_count} points"
+            raise MapFormatError(self._path, expected, str(size), f"byte {header.data_offset}")
 
     def _check_leftover(self, stream: BinaryIO, stop: int) -> tuple[str, ...]:
         """Refuse points that the header does not count; return notes on other bytes.
@@ -205,12 +197,8 @@ class PcdReader(MapReader):
                 count = min(max_points, rows.stop - first_row)
                 data = stream.read(count * header.record_size)
                 if len(data) < count * header.record_size:
-                    raise MapFormatError(
-                        self._path,
-                        f"{header.point_count} points",
-                        "the end of the file",
-                        f"byte {stream.tell()}",
-                    )
+                    expected, at = f"{header.point_count} points", f"byte {stream.tell()}"
+                    raise MapFormatError(self._path, expected, "the end of the file", at)
                 records = np.frombuffer(data, dtype=f"V{header.record_size}")
                 yield self.batch_of(first_row, records)
 
@@ -244,24 +232,11 @@ class PcdReader(MapReader):
         model._header = self._header.without_viewpoint()
         return model
 
-    @property
-    def sets_values(self) -> bool:
-        """Whether the points are binary; see `MapReader.sets_values`."""
-        return self._header.encoding != "ascii"
-
     def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
         """Return the first value of a field of binary records."""
         offset = sum(other.width for other in self._stored if other.offset < field.offset)
         kind = np.dtype(field.dtype).newbyteorder("<")
-        row = np.dtype(
-            {
-                "names": ["value"],
-                "formats": [kind],
-                "offsets": [offset],
-                "itemsize": records.itemsize,
-            }
-        )
-        return np.asarray(records.view(row)["value"])
+        return np.asarray(records.getfield(kind, offset))
 
     @property
     def record_dtype(self) -> np.dtype[Any] | None:

@@ -13,8 +13,8 @@ from typing import BinaryIO
 import numpy as np
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.points import Field
-from tiling.formats.signature import SIGNATURE_LENGTH, kind_of
 
 VERTEX = "vertex"
 
@@ -175,9 +175,8 @@ def read_header(file: BinaryIO, path: Path) -> PlyHeader:
         if parser.ended:
             break
     if not parser.ended:
-        raise MapFormatError(
-            path, f"end_header within {_LONGEST_HEADER} bytes", "none", at=f"line {len(lines)}"
-        )
+        expected = f"end_header within {_LONGEST_HEADER} bytes"
+        raise MapFormatError(path, expected, "none", at=f"line {len(lines)}")
     return PlyHeader(
         encoding=parser.encoding,
         line_end=line_end,

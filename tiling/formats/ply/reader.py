@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -10,13 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import ExtendedFormat, MapReader, MapWriter, SinglePartWriter
-from tiling.formats.extension import ExtendedRecords, ExtendedText
-from tiling.formats.leftover import check_leftover
+from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, copy_spans, put_records
 from tiling.formats.ply.header import VERTEX, PlyHeader, PlyProperty, read_header
 from tiling.formats.ply.rows import PlyRows, open_rows
-from tiling.formats.points import Field, MapDescription, PointBatch, coordinate_names, only_rows
+from tiling.formats.points import (
+    Field,
+    MapDescription,
+    PointBatch,
+    coordinate_names,
+    longer_records,
+    longer_rows,
+    only_rows,
+)
 from tiling.formats.text_rows import TextRows
 from tiling.output_file import create_file
 
@@ -28,18 +36,13 @@ class PlyReader(MapReader):
     digit changes. Elements beside the vertices go to the output as they are, apart from those
     that mean vertices by number (faces, edges): these lose their sense with the first point
     removed and are left out, which the description's notes say.
-
-    Raises
-    ------
-    MapFormatError
-        When the header is not one of a PLY map, or the file too small for what it announces.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         with path.open("rb") as file:
             self._header = read_header(file, path)
-        self._spans: dict[str, tuple[int, int]] | None = None
+        self._is_checked = False
         vertex = self._header.vertex
         names = coordinate_names([each.name for each in vertex.scalars])
         if names is None:
@@ -47,6 +50,11 @@ class PlyReader(MapReader):
             raise MapFormatError(path, "vertex properties x, y and z", found, at="the header")
         self._names = names
         self.bytes_per_point = vertex.least_bytes
+        # Vertices are binary records of one size, and those of other elements before them too.
+        is_binary = self._header.encoding != "ascii"
+        before = self._header.elements[: self._header.elements.index(vertex)]
+        self.writes_parts = self.sets_values = is_binary and vertex.is_fixed
+        self.seekable = self.writes_parts and all(each.is_fixed for each in before)
         self._check_size()
         notes = self._check_what_is_known()
         self.description = MapDescription(
@@ -65,57 +73,30 @@ class PlyReader(MapReader):
             ),
         )
 
-    @property
-    def seekable(self) -> bool:
-        """Whether the vertices are binary records of one size, with none of unknown size before."""
-        elements = self._header.elements
-        before = elements[: elements.index(self._header.vertex) + 1]
-        return self._header.encoding != "ascii" and all(each.is_fixed for each in before)
-
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        if rows == range(self.description.point_count):
-            return self._all_batches(max_points)
-        if self.seekable:
-            return self._range_batches(max_points, rows)
-        return only_rows(self._all_batches(max_points), rows)
+        if self.seekable or not rows.start:
+            return self._batches_from(rows, max_points)
+        return only_rows(self._batches_from(range(rows.stop), max_points), rows)
 
-    def _range_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        """Yield some vertices, each of which has its place in the file."""
+    def _batches_from(self, rows: range, max_points: int) -> Iterator[PointBatch]:
+        """Yield vertices from a row on, which is the first unless each has its place."""
+        elements, vertex = self._header.elements, self._header.vertex
+        place = elements.index(vertex)
         with self._path.open("rb") as file:
             reader = open_rows(file, self._header, self._path)
-            for element in self._header.elements:
-                if element.name == VERTEX:
-                    break
+            for element in elements[:place]:
                 reader.skip(element)
-            reader.skip(element, rows.start)
-            for first in range(rows.start, rows.stop, max_points):
-                most = min(max_points, rows.stop - first)
-                records, xyz = reader.take(element, most, self._names)
+            reader.skip(vertex, rows.start)
+            first = rows.start
+            while first < rows.stop:
+                records, xyz = reader.take(vertex, min(max_points, rows.stop - first), self._names)
                 yield PointBatch(first, xyz, records)
-        if rows.stop == self.description.point_count:
-            self._check_to_the_end()
-
-    def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
-        spans: dict[str, tuple[int, int]] = {}
-        with self._path.open("rb") as file:
-            rows = open_rows(file, self._header, self._path)
-            for element in self._header.elements:
-                start = rows.position
-                if element.name != VERTEX:
-                    # The elements after the last vertex need checking only once.
-                    if VERTEX not in spans or self._spans is None:
-                        rows.skip(element)
-                else:
-                    first = 0
-                    while first < element.count:
-                        most = min(max_points, element.count - first)
-                        records, xyz = rows.take(element, most, self._names)
-                        yield PointBatch(first, xyz, records)
-                        first += len(records)
-                spans[element.name] = (start, rows.position)
-            if self._spans is None:
-                self._check_behind(file, rows)
-                self._spans = spans
+                first += len(records)
+            if rows.stop == vertex.count and not self._is_checked:
+                for element in elements[place + 1 :]:
+                    reader.skip(element)
+                self._check_behind(file, reader)
+                self._is_checked = True
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one property of some vertices; see `MapReader.values`."""
@@ -128,21 +109,11 @@ class PlyReader(MapReader):
         column = names.index(name)
         return cast(TextRows, records).column(column, vertex.properties[column].dtype)
 
-    @property
-    def sets_values(self) -> bool:
-        """Whether the vertices are binary records of one size."""
-        return self.writes_parts
-
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a PLY file like this one; see `MapReader.writer`."""
         if self.writes_parts:
             return SinglePartWriter(self.part_writer(path, point_count))
         return _PlyWriter(path, point_count, self._header, self._kept_elements())
-
-    @property
-    def writes_parts(self) -> bool:
-        """Whether the vertices are binary records of one size."""
-        return self._header.encoding != "ascii" and self._header.vertex.is_fixed
 
     def part_writer(self, path: Path, point_count: int) -> PartWriter:
         """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
@@ -150,14 +121,19 @@ class PlyReader(MapReader):
             return super().part_writer(path, point_count)
         return _PlyParts(path, point_count, self._header, self._kept_elements())
 
-    def extended(self, fields: Sequence[Field]) -> ExtendedFormat:
+    def extended(self, fields: Sequence[Field]) -> MapReader:
         """Return what writes further properties; see `MapReader.extended`."""
         self._kept_elements()  # found by this header, the one of the file
         model = copy(self)
+        model.further = tuple(fields)
         model._header = self._header.extended(fields)
+        return model
+
+    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
+        """Return the records with further values; see `MapReader.extend`."""
         if self._header.encoding == "ascii":
-            return ExtendedText(model, fields)
-        return ExtendedRecords(model, fields, self._header.byte_order)
+            return longer_rows(batch.records, self.further, values)
+        return longer_records(batch.records, self.further, values, self._header.byte_order)
 
     def _check_size(self) -> None:
         """Compare the counts of the header with the size of the file."""
@@ -170,12 +146,9 @@ class PlyReader(MapReader):
             needed = sum(e.least_bytes * e.count for e in header.elements)
         if size - header.size < needed:
             counts = ", ".join(f"{e.count} {e.name}" for e in header.elements)
-            raise MapFormatError(
-                self._path,
-                f"at least {needed} bytes after the header for its elements ({counts})",
-                f"{size - header.size} bytes",
-                at=f"byte {header.size}",
-            )
+            expected = f"at least {needed} bytes after the header for its elements ({counts})"
+            found = f"{size - header.size} bytes"
+            raise MapFormatError(self._path, expected, found, f"byte {header.size}")
 
     def _kept_elements(self) -> "_KeptElements":
         """Find the elements to copy before and after the vertices."""
@@ -184,9 +157,8 @@ class PlyReader(MapReader):
         kept = [e for e in others if e.count and e not in header.dropped]
         if not kept:
             return _KeptElements(self._path)
-        found = self._check_to_the_end()
-        vertex_start = found[VERTEX][0]
-        spans = [found[element.name] for element in kept]
+        vertex_start = self._spans[VERTEX][0]
+        spans = [self._spans[element.name] for element in kept]
         return _KeptElements(
             self._path,
             before=tuple(span for span in spans if span[0] < vertex_start),
@@ -206,7 +178,7 @@ class PlyReader(MapReader):
                     rows.skip(element)
                 return self._check_behind(file, rows)
         if not header.vertex.count:
-            self._check_to_the_end()
+            next(self._batches_from(range(0), 1), None)
         return ()
 
     def _check_behind(self, file: BinaryIO, rows: PlyRows) -> tuple[str, ...]:
@@ -218,19 +190,17 @@ class PlyReader(MapReader):
         stop = self._path.stat().st_size
         return check_leftover(file, rows.position, stop, least, self._path, counts)
 
-    def _check_to_the_end(self) -> dict[str, tuple[int, int]]:
-        """Read all elements once; return where each of them begins and ends."""
-        if self._spans is None:
-            spans = {}
-            with self._path.open("rb") as file:
-                rows = open_rows(file, self._header, self._path)
-                for element in self._header.elements:
-                    start = rows.position
-                    rows.skip(element)
-                    spans[element.name] = (start, rows.position)
-                self._check_behind(file, rows)
-            self._spans = spans
-        return self._spans
+    @cached_property
+    def _spans(self) -> dict[str, tuple[int, int]]:
+        """Where each element begins and ends."""
+        spans = {}
+        with self._path.open("rb") as file:
+            rows = open_rows(file, self._header, self._path)
+            for element in self._header.elements:
+                start = rows.position
+                rows.skip(element)
+                spans[element.name] = (start, rows.position)
+        return spans
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +225,7 @@ class _PlyWriter(MapWriter):
         super().__init__(path, point_count)
         self._is_text = header.encoding == "ascii"
         self._kept = kept
-        self._file = create_file(path)
+        self._file: BinaryIO = create_file(path)
         self._file.write(header.encode(point_count))
         copy_spans(kept.source, self._file, kept.before)
 
@@ -264,9 +234,6 @@ class _PlyWriter(MapWriter):
 
     def _finish(self) -> None:
         copy_spans(self._kept.source, self._file, self._kept.after)
-        self._file.close()
-
-    def _abandon(self) -> None:
         self._file.close()
 
 

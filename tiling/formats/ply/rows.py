@@ -35,12 +35,8 @@ class PlyRows(ABC):
     ) -> tuple[TextRows | NDArray[Any], NDArray[np.float64]]:
         """Read the next records, at least one and at most `most`, all of `element`.
 
-        Returns
-        -------
-        records : TextRows or (n,) array
-            As they stand in the file.
-        values : (n, len(names)) float64 array
-            The numbers of the properties asked for.
+        Returns them as they stand in the file, and the numbers of the properties asked for,
+        (n, len(names)).
 
         Raises
         ------
@@ -257,12 +253,9 @@ class BinaryRows(PlyRows):
         return content
 
     def _end_of_file(self, element: PlyElement, needed: int) -> NoReturn:
-        raise MapFormatError(
-            self._path,
-            f"at least {needed} bytes for {element.count} records of {element.name!r}",
-            f"a file of {self._size} bytes",
-            at=f"byte {self.position}",
-        )
+        expected = f"at least {needed} bytes for {element.count} records of {element.name!r}"
+        found = f"a file of {self._size} bytes"
+        raise MapFormatError(self._path, expected, found, f"byte {self.position}")
 
 
 def _show(word: bytes) -> str:

@@ -1,4 +1,4 @@
-"""What lies behind the last point that a header counts.
+"""What any file is checked for: how it begins, and what lies behind the last point counted.
 
 A count that is too low, or zero, leaves points behind that nobody would miss. So bytes there are
 refused as soon as one more point has room in them; less than that, and padding, is left out and
@@ -10,6 +10,43 @@ from typing import BinaryIO
 
 from tiling.errors import MapFormatError
 
+_SIGNATURES = (
+    (b"version https://git-lfs", "a git-LFS pointer, not the file it stands for"),
+    (b"LASF", "a LAS or LAZ file"),
+    (b"PAR1", "a Parquet file"),
+    (b"PARE", "an encrypted Parquet file"),
+    (b"\x93NUMPY", "a NumPy .npy file"),
+    (b"PK\x03\x04", "a ZIP archive"),
+    (b"PK\x05\x06", "an empty ZIP archive"),
+    (b"# .PCD", "a PCD file"),
+    (b"VERSION .7", "a PCD file"),
+    (b"VERSION 0.7", "a PCD file"),
+    (b"ply\n", "a PLY file"),
+    (b"ply\r", "a PLY file"),
+    (b"\x1f\x8b", "a gzip file"),
+    (b"<!DOCTYPE", "an HTML page"),
+    (b"<html", "an HTML page"),
+)
+
+SIGNATURE_LENGTH = 32
+"""Bytes from the start of a file that `kind_of` looks at."""
+
+
+def kind_of(start: bytes) -> str:
+    """Say what a file is by its first `SIGNATURE_LENGTH` bytes, such as `"an empty file"`.
+
+    Where no known kind begins so, the bytes themselves are said.
+    """
+    if not start:
+        return "an empty file"
+    for signature, kind in _SIGNATURES:
+        if start.startswith(signature):
+            return kind
+    if not start.strip(b"\0"):
+        return "zero bytes"
+    return f"a file that begins with {start[:16]!r}"
+
+
 PADDING = b"\0\t\n\r "
 """Bytes that writers fill a file up with, to the end of a page or of a line."""
 
@@ -19,25 +56,16 @@ _BLOCK = 1 << 20
 def check_leftover(
     file: BinaryIO, start: int, stop: int, record_size: int, path: Path, counted: str
 ) -> tuple[str, ...]:
-    """Refuse bytes that could be points, and note those that cannot.
+    """Refuse bytes that could be points; return a note on those that cannot, if there are any.
 
     Parameters
     ----------
-    file : binary file
-        Able to seek.
     start, stop : int
         The bytes that nothing in the header speaks for.
     record_size : int
         Bytes of a point, or of the smallest.
-    path : Path
-        The file, for messages.
-    counted : str
-        What the header counts, such as `"1000 points"`.
-
-    Returns
-    -------
-    tuple of str
-        A note on what is left out, if there is anything.
+    path, counted : Path, str
+        The file, and what its header counts, such as `"1000 points"`: for messages.
 
     Raises
     ------
