@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from dynahull.labels import Label
 from pipeline.configuration.run import Configuration, OutputParameters
 from pipeline.errors import ConfigurationError
 from tiling.errors import MapFormatError
-from tiling.formats import Field, MapReader, MapWriter, PointBatch
-from tiling.formats.parts import PartWriter
+from tiling.formats import Field, MapReader, PointBatch
+from tiling.formats.base import ExtendedFormat
 
 LABEL, DENSITY, SCORE, ORIGINAL_CLASS = "label", "density", "score", "original_class"
 """Fields of a labelled map."""
@@ -44,22 +43,12 @@ class PointScores:
         return [np.asarray(each) for each in (self.density, self.score) if each is not None]
 
 
-class OutputFormat(Protocol):
-    """What an output is written by: the input's own reader, or one of longer points."""
-
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a whole output."""
-
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer of an output in parts."""
-
-
 class SplitMode:
     """What stays and what goes of a file's points, by their labels, in an output each."""
 
     def __init__(self, reader: MapReader, labels: Labels) -> None:
         self.reader = reader
-        self.formats: tuple[OutputFormat, ...] = (reader, reader)
+        self.formats: tuple[MapReader | ExtendedFormat, ...] = (reader, reader)
         self._labels = labels
 
     def counts(self, rows: range) -> tuple[int, int]:
@@ -90,7 +79,7 @@ class LabelMode:
     ) -> None:
         self.reader = reader
         self._extended = reader.extended(added_fields(reader, scores.score is not None))
-        self.formats: tuple[OutputFormat, ...] = (self._extended,)
+        self.formats: tuple[MapReader | ExtendedFormat, ...] = (self._extended,)
         self._labels = labels
         self._scores = scores
         self._kept = np.array([classes[label] is None for label in Label])

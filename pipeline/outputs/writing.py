@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -52,19 +52,9 @@ class CleanedMap:
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
-    """Return the outputs of each file of the map, in a folder; make the folders they go to.
-
-    Raises
-    ------
-    LostPointsError
-        When one would be written over another.
-    """
+    """Return the outputs of each file of the map, in a folder; make the folders they go to."""
     outputs = [tuple(folder / name for name in of_file) for of_file in names.by_file]
-    places = [place for of_file in outputs for place in of_file]
-    if len(set(places)) < len(places):
-        twice = next(place for place in places if places.count(place) > 1)
-        raise LostPointsError(f"{twice}: two files of the map would be written here")
-    for place in places:
+    for place in chain.from_iterable(outputs):
         place.parent.mkdir(parents=True, exist_ok=True)
     return outputs
 
