@@ -36,7 +36,7 @@ from pipeline.scan_numbers import check_time
 from pipeline.showing import only_showing
 from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER, remove_work
-from pipeline.work.map_state import unchanged
+from pipeline.work.job import unchanged
 from pipeline.work.opening import open_job
 from tiling.collection import MapCollection, content_hash, find_map_files
 

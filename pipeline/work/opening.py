@@ -19,8 +19,7 @@ from pipeline.configuration.run import Configuration
 from pipeline.progress import StageObserver
 from pipeline.work.files import read_if_whole
 from pipeline.work.folder import is_self_contained, remove, remove_work, stages_begun
-from pipeline.work.job import CHUNKS_FOLDER, JOB_FILE, PLANNING, STEPS, Job
-from pipeline.work.map_state import MapState
+from pipeline.work.job import CHUNKS_FOLDER, JOB_FILE, PLANNING, STEPS, Job, MapState
 from tiling.ledger import Written
 
 logger = logging.getLogger("dynahull")
