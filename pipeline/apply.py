@@ -28,7 +28,7 @@ from pipeline.eligibility import PROTECTED, check_parts, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
 from pipeline.outputs.folder import OutputNames, output_folder
 from pipeline.outputs.map_sample import MapSample, is_sampled
-from pipeline.outputs.modes import PointScores, check_mode
+from pipeline.outputs.modes import check_mode, scores_of
 from pipeline.outputs.reading import row_columns
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
@@ -36,7 +36,7 @@ from pipeline.places import NOWHERE, SIDE, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_space, output_size
 from pipeline.progress import StageObserver
-from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, no_result
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
 from pipeline.scan_numbers import find_scans
@@ -117,9 +117,7 @@ def decide_again(
             configuration = _protecting(configuration, areas)
         cleaned = _Decision(collection, configuration, report, kept, staging, observer).made()
         places = make_places(names, staging)
-        scores = PointScores(
-            kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
-        )
+        scores = scores_of(kept, configuration)
         write_maps(collection, configuration.output, kept["label"], scores, places, observer)
         digest = report.input_hash
         made = write_account(
@@ -130,10 +128,7 @@ def decide_again(
 
 
 def _report_of(folder: Path) -> RunReport:
-    try:
-        report = RunReport.read(folder)
-    except (OSError, ValueError):
-        raise OutputError(no_result(folder)) from None
+    report = RunReport.read(folder)
     if LABELS_FILE not in report.outputs:
         raise OutputError(
             f"{folder}: expected {LABELS_FILE}, which keeps the scores, found none; run again with "
@@ -329,11 +324,7 @@ class _Decision:
         if self._reports:
             views = partial(self._views, clusters, decision)
         return CleanedMap(
-            kept["label"],
-            kept["cluster"],
-            kept["density"],
-            kept["score"],
-            kept["reason"],
+            kept,
             {label.title: int(found[label]) for label in Label},
             clusters,
             decision,

@@ -42,10 +42,9 @@ def clean_in_tiles(
             views = partial(_views, job, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
-        cluster, density, score, reason = [
-            open_rows(job.rows_path(name), kind) if output.needs_scores else None
-            for name, (kind, _) in SCORES.items()
-        ]
+        rows = {"label": labels}
+        if output.needs_scores:
+            rows |= {n: open_rows(job.rows_path(n), kind) for n, (kind, _) in SCORES.items()}
         places = make_places(names, staging)
         in_parts = [] if output.merge else _write_in_parts(job, executor, observer, places)
         decoded, read = job.decoded, None
@@ -54,11 +53,7 @@ def clean_in_tiles(
         scores = kept_scores(job)
         write_maps(collection, output, labels, scores, places, observer, in_parts, read)
     return CleanedMap(
-        labels,
-        cluster,
-        density,
-        score,
-        reason,
+        rows,
         counts,
         clusters,
         decision,

@@ -92,10 +92,6 @@ def preview(
         Files, folders or globs that together are one map.
     output : Path or None
         `<map>_preview` in the current folder by default.
-    configuration : Configuration
-        As for the whole map.
-    observer : StageObserver
-        Warned of what the part is.
     points : int
         Points of the part, at most; of more every n-th is taken.
     window : Window or None

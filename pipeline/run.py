@@ -141,7 +141,9 @@ def write_account(
     """Write what comes of a cleaned map beside it: thinned map, labels, page, figures."""
     if configuration.output.voxel is not None:
         places = [staging / name for name in names.thinned]
-        write_thinned(collection, cleaned.labels, configuration.output, places, staging, observer)
+        write_thinned(
+            collection, cleaned.rows["label"], configuration.output, places, staging, observer
+        )
     if configuration.output.labels:
         write_labels(cleaned, staging / LABELS_FILE)
     observer.finish()

@@ -5,7 +5,6 @@ later. A wrong guess would cost walls, and none costs little: what is not sure i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,6 @@ def find_scans(
 
     Parameters
     ----------
-    configuration : Configuration
-        `evidence.time` is used.
     observer : Observer, optional
         Told of the pass, and of a field that was asked for and tells nothing.
 
@@ -207,7 +204,7 @@ def rows_of_a_scan(collection: MapCollection) -> int:
     starts = np.linspace(0, collection.point_count - longest, _WINDOWS).astype(np.int64)
     found = []
     for start in np.unique(starts).tolist():
-        stretch = _Stretch.read(collection, start, every)
+        stretch = _Stretch(collection, start, every)
         if not stretch.is_coherent():
             return 0
         found.append([stretch.returns(length) for length in every])
@@ -219,41 +216,30 @@ def rows_of_a_scan(collection: MapCollection) -> int:
     return lengths[int(np.argmax(returns >= max(_LEAST_RETURNS, _NEARLY * returns.max())))]
 
 
-@dataclass
 class _Stretch:
-    """Points of a stretch of consecutive rows.
+    """Points of the consecutive rows that pieces of some lengths take, from a place on.
 
-    Attributes
-    ----------
-    full : list of (n, 3) float64 array
-        Those of the first rows.
-    samples : dict of int to list of (offsets, xyz)
-        For each length of a piece, every so many of the rows of all pieces.
+    Of the first rows all are kept; for each length every so many of the rows of all pieces, with
+    the number of the piece.
     """
 
-    full: list[NDArray[np.float64]] = field(default_factory=list)
-    samples: dict[int, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = field(
-        default_factory=dict
-    )
-
-    @classmethod
-    def read(cls, collection: MapCollection, start: int, lengths: list[int]) -> "_Stretch":
-        """Read the rows from a place on that pieces of these lengths take."""
-        stretch = cls(samples={length: [] for length in lengths})
+    def __init__(self, collection: MapCollection, start: int, lengths: list[int]) -> None:
+        self._full: list[NDArray[np.float64]] = []
+        self._samples: dict[int, list[tuple[NDArray[np.int64], NDArray[np.float64]]]]
+        self._samples = {length: [] for length in lengths}
         rows = range(start, start + lengths[-1] * _PIECES)
         for _, batch in collection.batches(_BATCH, rows):
             offsets = batch.first_row - start + np.arange(len(batch.xyz))
             finite = (np.abs(batch.xyz) < _FARTHEST).all(axis=1)
-            stretch.full.append(batch.xyz[finite & (offsets < _FULL)])
-            for length, samples in stretch.samples.items():
+            self._full.append(batch.xyz[finite & (offsets < _FULL)])
+            for length, samples in self._samples.items():
                 step = max(length // _SAMPLED, 1)
                 chosen = finite & (offsets % step == 0) & (offsets < length * _PIECES)
                 samples.append((offsets[chosen] // length, batch.xyz[chosen]))
-        return stretch
 
     def is_coherent(self) -> bool:
         """Tell whether following rows lie nearer than random ones."""
-        points = np.concatenate(self.full)
+        points = np.concatenate(self._full)
         if len(points) <= 2 * _FOLLOWING:
             return False
         random = np.random.default_rng(0)
@@ -268,8 +254,8 @@ class _Stretch:
 
     def returns(self, length: int) -> tuple[float, float]:
         """Return how far pieces wander, and how often they return to a place, 1 as if shuffled."""
-        piece = np.concatenate([pieces for pieces, _ in self.samples[length]])
-        xyz = np.concatenate([points for _, points in self.samples[length]])
+        piece = np.concatenate([pieces for pieces, _ in self._samples[length]])
+        xyz = np.concatenate([points for _, points in self._samples[length]])
         counts = np.bincount(piece, minlength=_PIECES)
         if counts.min() < 2:
             return np.inf, 0.0

@@ -24,8 +24,8 @@ NEVER = np.inf
 TABLE_STEP = 0.1
 """Percent between two entries of the table of removed points, by Eq. 1."""
 
-_CUT_STEP = 1.0
-"""Percent between two entries of the table of cuts."""
+_CUTS = np.arange(101.0)
+"""Percentages of the entries of the table of cuts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ def confidence_percentages(
         np.where(np.isnan(sample.score) | protected, NEVER, lacking),
         100 / SCORE_STEPS,
         decision.removed_at()[::-1],
-        {cluster.index: np.full(round(100 / _CUT_STEP) + 1, np.nan) for cluster in clusters},
+        {cluster.index: np.full(len(_CUTS), np.nan) for cluster in clusters},
         0.0,
     )
 
@@ -155,8 +155,7 @@ def _percentages_in_order(
 def _cut_table(
     density: NDArray[np.float64], removed_from: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    percentages = np.arange(round(100 / _CUT_STEP) + 1) * _CUT_STEP
-    count = np.searchsorted(removed_from, percentages, side="right")
     if not len(density):
-        return np.full(len(percentages), np.nan)
+        return np.full(len(_CUTS), np.nan)
+    count = np.searchsorted(removed_from, _CUTS, side="right")
     return np.where(count > 0, density[np.maximum(count - 1, 0)], np.nan)

@@ -44,14 +44,8 @@ def open_job(
 
     Parameters
     ----------
-    work : Path
-        The work folder.
-    paths : sequence of Path
-        The map's files.
     state : MapState
-        Theirs, from before the bytes were hashed.
-    digest : str
-        Of their bytes.
+        From before the bytes of the map's files were hashed to their `digest`.
     fresh : bool
         Begin anew in any case.
     observer : StageObserver
@@ -153,18 +147,14 @@ class _Verification:
     ) -> None:
         """Remove markers that are damaged, or whose files are."""
         for path in markers:
-            damaged = self._looked_at(path, matters)
+            marker = self._work.marker(path)
+            written = () if marker is None else filter(matters, marker.written)
+            damaged = [each.path for each in written if not each.is_intact()]
+            if marker is None:
+                damaged.append(path)
             self._damaged.update(str(each.relative_to(self._work.root)) for each in damaged)
             if damaged:
                 remove(path)
             for each in damaged:
                 if each.is_dir():  # nothing could be put in its place
                     remove(each)
-
-    def _looked_at(self, path: Path, matters: Callable[[Written], bool]) -> list[Path]:
-        """Return what is damaged: the marker, or files that it knows."""
-        marker = self._work.marker(path)
-        if marker is None:
-            return [path]
-        written = filter(matters, marker.written)
-        return [each.path for each in written if not each.is_intact()]
