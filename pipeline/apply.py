@@ -78,8 +78,6 @@ def decide_again(
 
     Parameters
     ----------
-    folder : Path
-        The run's output folder.
     output : Path or None
         Where the results go; in place of the run's own by default.
     settings : sequence of str

@@ -127,8 +127,7 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
     TilingError
         When a file cannot be found or read.
     """
-    told = None if poses is None else Path(poses)
-    collection = MapCollection(find_map_files(maps), poses=told)
+    collection = MapCollection(find_map_files(maps), poses=None if poses is None else Path(poses))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     finite_count, sample = 0, [np.empty((0, 3))]
     with DuplicateCounter(collection.point_count) as duplicates:
@@ -141,7 +140,8 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
                 low = np.minimum(low, finite.min(axis=0))
                 high = np.maximum(high, finite.max(axis=0))
         duplicate_count = duplicates.total()
-    units = _units(collection)
+    told = (reader.description.units for reader in collection.readers)
+    units = next((each for each in told if each is not None), Units(None))
     across = (units.horizontal and units.horizontal.metres) or 1.0
     metres = np.array([across, across, (units.vertical and units.vertical.metres) or across])
     return MapInfo(
@@ -155,11 +155,6 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
         time=str(find_scans(collection, Configuration()) or "none"),
         notes=coarse_step_notes(collection, typical_place(np.concatenate(sample)) * metres, metres),
     )
-
-
-def _units(collection: MapCollection) -> Units:
-    said = [reader.description.units for reader in collection.readers]
-    return next((each for each in said if each is not None), Units(None))
 
 
 def _symbols(units: Units) -> tuple[str, str, str]:

@@ -51,13 +51,7 @@ _LOOKS_INTO_CHUNKS = 50
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A rectangle, seen from above: low <= x, y < high, metres.
-
-    Attributes
-    ----------
-    low, high : tuple of float
-        x and y.
-    """
+    """A rectangle, seen from above: low <= x, y < high, metres."""
 
     low: tuple[float, float]
     high: tuple[float, float]

@@ -23,17 +23,12 @@ AUTO, OFF = "auto", "off"
 def find_scans(
     collection: MapCollection, configuration: Configuration, observer: Observer | None = None
 ) -> ScanSource | None:
-    """Find out what tells when the points of a map were seen, by one pass over it.
+    """Find out by a pass over a map what tells when its points were seen; None if nothing surely.
 
     Parameters
     ----------
     observer : Observer, optional
         Told of the pass, and of a field that was asked for and tells nothing.
-
-    Returns
-    -------
-    ScanSource or None
-        None where nothing tells it for sure.
 
     Raises
     ------

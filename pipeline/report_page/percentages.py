@@ -70,12 +70,8 @@ def removal_percentages(
         finite = _removable(cluster, len(order), len(members), rate * own)
         gone = int(np.count_nonzero(sample.labels[order] == Label.DYNAMIC))
         percentage = _percentages_in_order(len(order), gone, cluster, finite, rate)
-        removed_from[order] = np.concatenate(
-            [
-                np.minimum(percentage[:gone], own),
-                np.maximum(percentage[gone:], np.nextafter(own, np.inf)),
-            ]
-        )
+        removed_from[order[:gone]] = np.minimum(percentage[:gone], own)
+        removed_from[order[gone:]] = np.maximum(percentage[gone:], np.nextafter(own, np.inf))
         removed += np.minimum(np.floor(rate * steps * cluster.count + 1e-6), finite)
         cuts[cluster.index] = _cut_table(sample.density[order], removed_from[order])
         if len(members):

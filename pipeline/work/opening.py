@@ -46,8 +46,6 @@ def open_job(
     ----------
     state : MapState
         From before the bytes of the map's files were hashed to their `digest`.
-    fresh : bool
-        Begin anew in any case.
     observer : StageObserver
         Told when work of another map or configuration is given up, or is damaged.
     """
