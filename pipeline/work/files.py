@@ -121,12 +121,13 @@ def _places(path: Path, stream: BinaryIO, names: Sequence[str]) -> list[_Place]:
             npy.read_magic(stream)
             shape, by_columns, kind = npy.read_array_header_1_0(stream)
             start = stream.tell()
-            stream.seek(kind.itemsize * math.prod(shape), os.SEEK_CUR)
-            if kind.hasobject or min(shape, default=0) < 0 or stream.tell() > size:
+            end = start + kind.itemsize * math.prod(shape)
+            if kind.hasobject or min(shape, default=0) < 0 or end > size:
                 raise ValueError("expected an array of numbers that the file holds whole")
+            stream.seek(end)
             places[name] = start, kind, shape, "F" if by_columns else "C"
         return [places[name] for name in names]
-    except (ValueError, KeyError, TypeError, OSError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         wanted = ", ".join(names)
         raise WorkError(
             f"{path}: expected the arrays {wanted}, found a damaged file; {GO_ON}"
