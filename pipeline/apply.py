@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from dynahull.checking import valid_points
+from dynahull.evidence import range_images
 from dynahull.labels import Label
 from dynahull.protection import Area
 from dynahull.removal import removal_percentages, remove_likely
@@ -27,7 +28,7 @@ from pipeline.eligibility import PROTECTED, check_parts, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
 from pipeline.outputs.folder import OutputNames, output_folder
 from pipeline.outputs.map_sample import MapSample, is_sampled
-from pipeline.outputs.modes import PointScores, check_mode
+from pipeline.outputs.modes import check_mode, scores_of
 from pipeline.outputs.reading import row_columns
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
@@ -35,14 +36,14 @@ from pipeline.places import NOWHERE, SIDE, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_space, output_size
 from pipeline.progress import StageObserver
-from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, no_result
+from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE
 from pipeline.report_page.page import Views
 from pipeline.run import write_account
-from pipeline.seen_again import SeenAgain
+from pipeline.scan_numbers import find_scans
 from pipeline.tiles.thresholds import Cut, find_cuts
 from pipeline.units import open_collection
 from pipeline.work.files import make_rows, open_rows
-from pipeline.work.map_state import unchanged
+from pipeline.work.job import unchanged
 from tiling.collection import MapCollection, content_hash
 from tiling.formats.points import PointBatch
 
@@ -77,8 +78,6 @@ def decide_again(
 
     Parameters
     ----------
-    folder : Path
-        The run's output folder.
     output : Path or None
         Where the results go; in place of the run's own by default.
     settings : sequence of str
@@ -105,23 +104,20 @@ def decide_again(
     collection = open_collection(paths, configuration.input, cores)
     check_mode(collection.readers, configuration)
     names = OutputNames.of_run(collection.readers, configuration.output)
-    results = names.all_files(configuration.output)
-    with output_folder(output or folder, results, paths) as staging, unchanged(paths):
+    results, place = names.all_files(configuration.output), output or folder
+    with output_folder(place, results, paths) as staging, unchanged(paths):
         size, rows = output_size(collection, configuration), collection.point_count * _ROW_BYTES
-        check_space(output or folder, rows, size, configuration.output.keep_free)
+        check_space(place, rows, size, configuration.output.keep_free)
         _check_content(collection, report, observer)
         kept = _read_kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
         if restore:
             areas = _areas_of_places(collection, report, kept, restore, observer)
             configuration = _protecting(configuration, areas)
-        seen = SeenAgain.of(collection, configuration, staging / "rows", observer)
-        cleaned = _Decision(collection, configuration, report, kept, seen, observer).made()
+        cleaned = _Decision(collection, configuration, report, kept, staging, observer).made()
         places = make_places(names, staging)
-        scores = PointScores(
-            kept["density"], kept["score"] if configuration.removal.weighs_evidence else None
-        )
+        scores = scores_of(kept, configuration)
         write_maps(collection, configuration.output, kept["label"], scores, places, observer)
-        place, digest = output or folder, report.input_hash
+        digest = report.input_hash
         made = write_account(
             place, collection, digest, configuration, cleaned, names, staging, observer
         )
@@ -130,10 +126,7 @@ def decide_again(
 
 
 def _report_of(folder: Path) -> RunReport:
-    try:
-        report = RunReport.read(folder)
-    except (OSError, ValueError):
-        raise OutputError(no_result(folder)) from None
+    report = RunReport.read(folder)
     if LABELS_FILE not in report.outputs:
         raise OutputError(
             f"{folder}: expected {LABELS_FILE}, which keeps the scores, found none; run again with "
@@ -233,15 +226,11 @@ def _areas_of_places(
         for _, batch in collection.batches():
             own = slice(batch.first_row, batch.first_row + len(batch.xyz))
             gone = kept["label"][own] == Label.DYNAMIC
-            xyz, score, reason = (
-                batch.xyz[gone],
-                kept["score"][own][gone],
-                kept["reason"][own][gone],
-            )
             if by_evidence:
-                yield DecisionSums.of(xyz, score, reason, 0.0, NOWHERE)
+                score, reason = kept["score"][own][gone], kept["reason"][own][gone]
+                yield DecisionSums.of(batch.xyz[gone], score, reason, 0.0, NOWHERE)
             else:
-                yield DecisionSums.by_density(xyz, NOWHERE)
+                yield DecisionSums.by_density(batch.xyz[gone], NOWHERE)
             observer.advance(len(batch.xyz))
 
     return areas_of_voxels(DecisionSums.merged(parts()).cells_of(numbers), SIDE)
@@ -271,22 +260,34 @@ class _Decision:
         configuration: Configuration,
         report: RunReport,
         kept: Kept,
-        seen: SeenAgain | None,
+        staging: Path,
         observer: StageObserver,
     ) -> None:
         self._collection, self._configuration = collection, configuration
-        self._report, self._kept, self._seen, self._observer = report, kept, seen, observer
+        self._report, self._kept, self._observer = report, kept, observer
         # Of one model a tile some numbers are of no cluster.
         self._counts = [0] * (1 + max((each.index for each in report.clusters), default=-1))
         for each in report.clusters:
             self._counts[each.index] = each.count
         self._sums: list[DecisionSums] = []
         self._shown: list[MapSample] = []
+        self._reports = configuration.output.report == "html"
+        # What the report shows of scans is found out again, as the run kept none of it.
+        finds = self._reports and configuration.removal.weighs_evidence
+        self._source = find_scans(collection, configuration, observer) if finds else None
+        self._scans: list[NDArray[np.int32]] = []
+        self._sensor = None if self._source is None else self._source.sensor(collection)
+        if self._sensor is not None:
+            place, size = staging / "rows" / "images", len(self._sensor) * range_images.PIXELS
+            make_rows(place, size, np.uint16, range_images.NOTHING)
+            images = np.asarray(open_rows(place, np.uint16, "r+"))
+            self._images = images.reshape(-1, range_images.PIXELS)
 
     def made(self) -> CleanedMap:
         configuration, kept = self._configuration, self._kept
-        removal, counts = configuration.removal, self._counts
-        percentages, cuts = self._percentages(), self._cuts()
+        removal, counts, k = configuration.removal, self._counts, configuration.neighbours.k
+        percentages = removal_percentages(counts, removal.min_percent, removal.max_percent, k)
+        cuts = self._cuts(percentages)
         removed = np.zeros(len(counts), np.int64)
         found = np.zeros(len(Label), np.int64)
         self._observer.stage("deciding", self._collection.point_count)
@@ -318,16 +319,11 @@ class _Decision:
             for each in self._report.clusters
         )
         decision, views = DecisionSums.merged(self._sums).decision(), None
-        if configuration.output.report == "html":
+        if self._reports:
             views = partial(self._views, clusters, decision)
-        titles = {label.title: int(found[label]) for label in Label}
         return CleanedMap(
-            kept["label"],
-            kept["cluster"],
-            kept["density"],
-            kept["score"],
-            kept["reason"],
-            titles,
+            kept,
+            {label.title: int(found[label]) for label in Label},
             clusters,
             decision,
             views,
@@ -337,16 +333,15 @@ class _Decision:
     def _views(self, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
         """Return what the report shows."""
         sample = MapSample.of_parts(self._collection.point_count, self._shown)
-        if self._seen is not None:
+        if self._scans:
+            views = None
+            if self._sensor is not None:
+                views = range_images.Views(self._sensor, self._images.__getitem__)
             cores = available_cores(self._configuration.execution.workers)
-            sample = self._seen.in_sample(sample, cores)
+            sample = sample.seen(np.concatenate(self._scans), views, cores)
         return Views.of(sample, clusters, self._configuration.removal, decision)
 
-    def _percentages(self) -> Sequence[Fraction]:
-        removal, k = self._configuration.removal, self._configuration.neighbours.k
-        return removal_percentages(self._counts, removal.min_percent, removal.max_percent, k)
-
-    def _cuts(self) -> list[Cut]:
+    def _cuts(self, percentages: Sequence[Fraction]) -> list[Cut]:
         """Find where each cluster is cut, by the clusters' own numbers."""
         if self._configuration.removal.weighs_evidence:
             return [Cut(None)] * len(self._counts)
@@ -357,7 +352,7 @@ class _Decision:
             for start in range(0, total, _ROWS_AT_A_TIME)
         ]
         threshold = self._configuration.removal.threshold
-        return find_cuts(tiles, self._counts, self._percentages(), threshold)
+        return find_cuts(tiles, self._counts, percentages, threshold)
 
     def _dynamic(self, rows: slice, cuts: Sequence[Cut]) -> NDArray[np.bool_]:
         removal, kept = self._configuration.removal, self._kept
@@ -380,20 +375,16 @@ class _Decision:
         else:
             sums = DecisionSums.by_density(xyz[label == Label.DYNAMIC], NOWHERE)
         self._sums = [DecisionSums.merged([*self._sums, sums])]
-        if self._configuration.output.report == "html":
-            own = np.arange(rows.start, rows.stop)
-            chosen = np.flatnonzero(is_sampled(own, self._collection.point_count))
+        if self._reports:
+            total, own = self._collection.point_count, np.arange(rows.start, rows.stop)
             apart = (label == Label.UNSCORED) & (cluster == NO_CLUSTER)
-            labels = np.where(apart, np.uint8(Label.INVALID), label)
-            if self._seen is not None:
-                self._seen.add(file, batch, labels == Label.INVALID)
-            sample = MapSample(
-                self._collection.point_count,
-                own[chosen],
-                xyz[chosen],
-                labels[chosen],
-                cluster[chosen],
-                density[chosen],
-                score[chosen],
-            )
-            self._shown.append(sample)
+            apart |= label == Label.INVALID
+            chosen = np.flatnonzero(is_sampled(own, total) & ~apart)
+            columns: list[NDArray[Any]] = [own, xyz, label, cluster, density, score]
+            self._shown.append(MapSample(total, *(column[chosen] for column in columns)))
+            if self._source is not None:
+                scan = self._source.numbers(self._collection, file, batch)
+                self._scans.append(scan[chosen])
+                if self._sensor is not None:
+                    drawn = np.where(apart, np.int32(-1), scan)
+                    range_images.draw_into(self._images, xyz, drawn, self._sensor)

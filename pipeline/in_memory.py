@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from pipeline.configuration.run import Configuration
 from pipeline.eligibility import LEFT_OUT, PROTECTED, check_parts, is_far, marks, warn_of_left_out
 from pipeline.outputs.folder import OutputNames
 from pipeline.outputs.map_sample import MapSample
-from pipeline.outputs.modes import PointScores
+from pipeline.outputs.modes import scores_of
 from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.places import Decision, DecisionSums
 from pipeline.plan.machine import available_cores
@@ -76,15 +77,18 @@ def clean_in_memory(
     decision = sums.decision()
     if output.report == "html":
         views = partial(_views, points, result, scan, sensor, configuration, decision)
-    scores = PointScores(result.density, result.score if removal.weighs_evidence else None)
+    rows: dict[str, NDArray[Any]] = {
+        "label": result.labels,
+        "cluster": result.cluster,
+        "density": result.density,
+        "score": result.score,
+        "reason": result.reason,
+    }
+    scores = scores_of(rows, configuration)
     places = make_places(names, staging)
     write_maps(collection, output, result.labels, scores, places, observer)
     return CleanedMap(
-        result.labels,
-        result.cluster,
-        result.density,
-        result.score,
-        result.reason,
+        rows,
         result.counts(),
         result.clusters,
         decision,

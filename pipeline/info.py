@@ -1,6 +1,6 @@
 """What a map is, before anything is done with it: `dynahull-pipeline info`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -127,8 +127,7 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
     TilingError
         When a file cannot be found or read.
     """
-    told = None if poses is None else Path(poses)
-    collection = MapCollection(find_map_files(maps), poses=told)
+    collection = MapCollection(find_map_files(maps), poses=None if poses is None else Path(poses))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     finite_count, sample = 0, [np.empty((0, 3))]
     with DuplicateCounter(collection.point_count) as duplicates:
@@ -141,7 +140,8 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
                 low = np.minimum(low, finite.min(axis=0))
                 high = np.maximum(high, finite.max(axis=0))
         duplicate_count = duplicates.total()
-    units = _units(collection)
+    told = (reader.description.units for reader in collection.readers)
+    units = next((each for each in told if each is not None), Units(None))
     across = (units.horizontal and units.horizontal.metres) or 1.0
     metres = np.array([across, across, (units.vertical and units.vertical.metres) or across])
     return MapInfo(
@@ -155,11 +155,6 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
         time=str(find_scans(collection, Configuration()) or "none"),
         notes=coarse_step_notes(collection, typical_place(np.concatenate(sample)) * metres, metres),
     )
-
-
-def _units(collection: MapCollection) -> Units:
-    said = [reader.description.units for reader in collection.readers]
-    return next((each for each in said if each is not None), Units(None))
 
 
 def _symbols(units: Units) -> tuple[str, str, str]:
@@ -184,14 +179,11 @@ class DuplicateCounter:
 
     def __init__(self, point_count: int) -> None:
         self._count = 0
-        self._held: list[NDArray[np.float64]] = []
         self._stack = ExitStack()
-        files = min(-(-point_count // _IN_MEMORY), _MOST_FILES)
         self._files: list[BinaryIO] = []
-        if files > 1:
-            for _ in range(files):
-                file = cast(BinaryIO, TemporaryFile())  # noqa: SIM115 - closed by the stack
-                self._files.append(self._stack.enter_context(file))
+        for _ in range(min(point_count // _IN_MEMORY + 1, _MOST_FILES)):
+            file = cast(BinaryIO, TemporaryFile())  # noqa: SIM115 - closed by the stack
+            self._files.append(self._stack.enter_context(file))
 
     def __enter__(self) -> "DuplicateCounter":
         return self
@@ -202,11 +194,7 @@ class DuplicateCounter:
     def add(self, points: NDArray[np.float64]) -> None:
         """Take (n, 3) finite points into account."""
         # Adding zero makes one of the two zeros, which are equal and differ in their bits.
-        points = points + 0.0
-        if not self._files:
-            self._held.append(points)
-            return
-        points = self._distinct(points)
+        points = self._distinct(points + 0.0)
         mixed = (points.view(np.int64) * _MULTIPLIERS).sum(axis=1)
         of_file = ((mixed ^ mixed >> 31) * _MULTIPLIERS[0] >> 33) % len(self._files)
         order = np.argsort(of_file, kind="stable")
@@ -217,16 +205,10 @@ class DuplicateCounter:
 
     def total(self) -> int:
         """Return the number of duplicates; nothing can be added after that."""
-        for points in self._parts():
-            self._distinct(points)
-        return self._count
-
-    def _parts(self) -> Iterator[NDArray[np.float64]]:
-        if not self._files:
-            yield np.concatenate([*self._held, np.empty((0, 3))])
         for file in self._files:
             file.seek(0)
-            yield np.frombuffer(file.read(), dtype=np.float64).reshape(-1, 3)
+            self._distinct(np.frombuffer(file.read(), dtype=np.float64).reshape(-1, 3))
+        return self._count
 
     def _distinct(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return different points, and count the others."""

@@ -21,8 +21,7 @@ from pipeline.showing import check_named_file, drawable, only_showing, printable
 from pipeline.tiles.cleaning import gather_chunks, plan_tiles
 from pipeline.units import open_collection
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
-from pipeline.work.job import CHUNKS_FOLDER
-from pipeline.work.map_state import unchanged
+from pipeline.work.job import CHUNKS_FOLDER, unchanged
 from pipeline.work.opening import open_job
 from tiling.collection import MapCollection, content_hash, find_map_files
 from tiling.output_file import writing_only_into

@@ -3,9 +3,10 @@
 The part is a map of its own, in the format of the whole, and cleaned by an ordinary run.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +16,16 @@ from pipeline.eligibility import survey_map
 from pipeline.errors import ConfigurationError, OutputError
 from pipeline.outputs.folder import default_folder
 from pipeline.outputs.run_report import RunReport
-from pipeline.part_poses import with_poses_of_part
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.run import run
+from pipeline.scan_numbers import find_scans
 from pipeline.units import open_collection
 from tiling.atomic import atomic_file
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.points import PointBatch
 from tiling.occupancy import Occupancy
 from tiling.output_file import writing_only_into
-from tiling.survey import Survey
 
 SMALLEST_SIDE = 4.0
 """Metres: a window that is chosen is no narrower, and thinned where it holds too many points."""
@@ -51,13 +51,7 @@ _LOOKS_INTO_CHUNKS = 50
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A rectangle, seen from above: low <= x, y < high, metres.
-
-    Attributes
-    ----------
-    low, high : tuple of float
-        x and y.
-    """
+    """A rectangle, seen from above: low <= x, y < high, metres."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -92,10 +86,6 @@ def preview(
         Files, folders or globs that together are one map.
     output : Path or None
         `<map>_preview` in the current folder by default.
-    configuration : Configuration
-        As for the whole map.
-    observer : StageObserver
-        Warned of what the part is.
     points : int
         Points of the part, at most; of more every n-th is taken.
     window : Window or None
@@ -125,7 +115,7 @@ def preview(
         raise ConfigurationError(f"{collection.name}: no point in the window, {window}")
     with writing_only_into(folder):
         files = _write_part(collection, kept, folder)
-        configuration = with_poses_of_part(collection, kept, files, configuration, observer)
+        configuration = _with_poses_of_part(collection, kept, files, configuration, observer)
     observer.warn(_description(part, window, collection))
     return run(files, folder, configuration, observer)
 
@@ -203,15 +193,7 @@ def _together(
 def _choose_window(
     collection: MapCollection, configuration: Configuration, points: int, observer: StageObserver
 ) -> Window:
-    survey = _look_at(collection, configuration, observer)
-    scale = collection.point_count / max(survey.point_count, 1)
-    return typical_window(survey.occupancy, scale, round(_FILLED * points))
-
-
-def _look_at(
-    collection: MapCollection, configuration: Configuration, observer: StageObserver
-) -> Survey:
-    """Survey a map, or some places of one that is large and can be read anywhere."""
+    """Choose by a survey of the map, or of some places of one that is large and can be seeked."""
     total = collection.point_count
     seekable = all(reader.seekable for reader in collection.readers)
     ranges = [range(total)]
@@ -221,7 +203,8 @@ def _look_at(
         ranges = [range(start, start + _LOOKED_AT // looks) for start in starts]
     observer.stage("looking", sum(len(rows) for rows in ranges))
     survey, _ = survey_map(_batches(collection, ranges, observer), configuration)
-    return survey
+    scale = total / max(survey.point_count, 1)
+    return typical_window(survey.occupancy, scale, round(_FILLED * points))
 
 
 def _batches(
@@ -334,3 +317,53 @@ def _description(part: _Part, window: Window, collection: MapCollection) -> str:
         f"preview of {collection.name}: {part.count:,} of its {collection.point_count:,} points, "
         f"{where}{thinned}; clusters, and with them R_i, are those of this part{rim}"
     )
+
+
+def _with_poses_of_part(
+    collection: MapCollection,
+    kept: Mapping[int, Sequence[PointBatch]],
+    files: Sequence[Path],
+    configuration: Configuration,
+    observer: StageObserver,
+) -> Configuration:
+    """Return the configuration that a part is cleaned with; write its poses beside its `files`."""
+    poses, beside = collection.poses, files[0].parent / "poses.txt"
+    if poses is None or poses.counts is not None:
+        return configuration
+    if poses.are_of_files:
+        frame = "map" if poses.are_applied else "sensor"
+        np.savetxt(beside, poses.poses[list(kept)].reshape(-1, 12), "%.17g")
+        return _changed(configuration, poses=str(beside), frame=frame)
+    if not configuration.removal.weighs_evidence:
+        return configuration
+    source = find_scans(collection, configuration, observer)
+    of_part = configuration
+    if source is not None and not source.tenth:
+        # Poses go with scans by their numbers, or else in order: of the part, all do in order.
+        numbers = [
+            source.numbers(collection, file, batch)
+            for file, batches in kept.items()
+            for batch in batches
+        ]
+        seen = np.unique(np.concatenate(numbers))
+        np.savetxt(beside, poses.poses[seen[seen >= 0]].reshape(-1, 12), "%.17g")
+        of_part = _changed(configuration, poses=str(beside))
+    if source is None or _is_like(source.kind, files, of_part):
+        return of_part
+    observer.warn("the part has too few scans: it is decided without their poses")
+    return _changed(configuration, poses=None)
+
+
+def _is_like(kind: str, files: Sequence[Path], configuration: Configuration) -> bool:
+    """Tell whether the scans of the part are found, and have poses, as those of the map."""
+    try:
+        collection = open_collection(files, configuration.input)
+        found = find_scans(collection, configuration)
+    except ConfigurationError:
+        return False
+    return found is not None and found.kind == kind and bool(found.of_poses)
+
+
+def _changed(configuration: Configuration, **values: Any) -> Configuration:
+    changed = configuration.input.model_copy(update=values)
+    return configuration.model_copy(update={"input": changed})

@@ -127,29 +127,19 @@ class TerminalDisplay(Display):
     """A bar with the stage, the rate and the time left."""
 
     def __init__(self) -> None:
-        from rich.console import Console  # noqa: PLC0415 (only a terminal needs it)
-        from rich.progress import (  # noqa: PLC0415
-            BarColumn,
-            Progress,
-            TaskProgressColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
+        from rich import console, progress  # noqa: PLC0415 (only a terminal needs it)
 
-        self._progress = Progress(
-            TextColumn("{task.description:<12}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TextColumn("{task.fields[rate]:>18}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
+        self._progress = progress.Progress(
+            progress.TextColumn("{task.description:<12}"),
+            progress.BarColumn(),
+            progress.TaskProgressColumn(),
+            progress.TextColumn("{task.fields[rate]:>18}"),
+            progress.TimeElapsedColumn(),
+            progress.TextColumn("left"),
+            progress.TimeRemainingColumn(),
+            console=console.Console(stderr=True),
         )
-        self._task, self._total = self._progress.add_task("", rate=""), 1
-        self._progress.remove_task(self._task)
-        self._begun = 0.0
+        self._task, self._total, self._begun = progress.TaskID(0), 1, 0.0
 
     def begin(self, stage: str, total: int) -> None:
         """Show a new bar below those that are done."""

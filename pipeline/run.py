@@ -6,20 +6,26 @@ into tiles, whose work is shared out to workers and kept until all of it is done
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from dynahull.errors import MissingClassificationError
 from dynahull.ground.cloth import cloth_library
+from dynahull.result import ClusterSummary
+from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.in_memory import clean_in_memory
-from pipeline.in_tiles import clean_in_tiles
 from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.thinning import write_thinned
-from pipeline.outputs.writing import CleanedMap, write_labels
+from pipeline.outputs.writing import CleanedMap, make_places, write_labels, write_maps
+from pipeline.places import Decision
 from pipeline.plan.machine import available_cores
+from pipeline.plan.plan import check_plan
 from pipeline.plan.resources import (
     check_one_tile,
     check_space,
@@ -34,11 +40,18 @@ from pipeline.report_page.charts import TileWork
 from pipeline.report_page.page import Views, render_page
 from pipeline.scan_numbers import check_time
 from pipeline.showing import only_showing
+from pipeline.tiles.cleaning import clean_tiles, find_times
+from pipeline.tiles.labelling import SCORES, gather_decision, gather_sample, tile_work
+from pipeline.tiles.stages import do_stage, exhaust
+from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
 from pipeline.units import open_collection
+from pipeline.work.files import open_rows
 from pipeline.work.folder import WORK_FOLDER, remove_work
-from pipeline.work.map_state import unchanged
+from pipeline.work.job import Job, unchanged
 from pipeline.work.opening import open_job
+from pipeline.workers.executors import Executor
 from tiling.collection import MapCollection, content_hash, find_map_files
+from tiling.formats.points import DEFAULT_BATCH
 
 
 def run(
@@ -97,7 +110,7 @@ def run(
         else:
             whole = collection.with_poses(digest)
             job = open_job(work, paths, state, whole, configuration, fresh, observer)
-            cleaned = clean_in_tiles(job, collection, names, staging, observer)
+            cleaned = _clean_in_tiles(job, collection, names, staging, observer)
         report = write_account(
             folder, collection, digest, configuration, cleaned, names, staging, observer
         )
@@ -128,6 +141,67 @@ def _check_what_is_asked(
     check_time(collection, configuration)
 
 
+def _clean_in_tiles(
+    job: Job, collection: MapCollection, names: OutputNames, staging: Path, observer: StageObserver
+) -> CleanedMap:
+    """Clean a map of several tiles, and write its results."""
+    find_times(job, collection, observer)
+    observer.finish()  # workers may be long in coming
+    with workers_for(job) as executor:
+        counts, clusters = clean_tiles(
+            job, executor, observer, lambda plan: check_plan(plan, job.configuration, job.root)
+        )
+        labels = open_rows(job.rows_path("label"), np.uint8)
+        decision = gather_decision(job)
+        views, tiles = None, None
+        if job.configuration.output.report == "html":
+            views = partial(_views, job, clusters, decision)
+            tiles = tile_work(job)
+        output = job.configuration.output
+        rows = {"label": labels}
+        if output.needs_scores:
+            rows |= {n: open_rows(job.rows_path(n), kind) for n, (kind, _) in SCORES.items()}
+        places = make_places(names, staging)
+        in_parts = [] if output.merge else _write_in_parts(job, executor, observer, places)
+        decoded, read = job.decoded, None
+        if decoded is not None and decoded.has_records:
+            read = partial(decoded.batches_of, max_points=DEFAULT_BATCH)
+        scores = kept_scores(job)
+        write_maps(collection, output, labels, scores, places, observer, in_parts, read)
+    return CleanedMap(
+        rows,
+        counts,
+        clusters,
+        decision,
+        views,
+        tiles,
+        str(job.scan_source or "none") if job.configuration.removal.weighs_evidence else None,
+    )
+
+
+def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
+    return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
+
+
+def _write_in_parts(
+    job: Job, executor: Executor, observer: StageObserver, outputs: Sequence[tuple[Path, ...]]
+) -> list[int]:
+    """Write the outputs of the files of the map that can be written in parts; return these files.
+
+    They grow in the work folder, where a run that goes on finds what is done of them.
+    """
+    plan = plan_parts(job)
+    if plan.parts:
+        rows = [len(part.rows) for part in plan.parts]
+        exhaust(do_stage(job, executor, observer, "write", rows))
+    finish_parts(job, plan)
+    for file in plan.points:
+        growing = growing_outputs(job, file, len(outputs[file]))
+        for grown, place in zip(growing, outputs[file], strict=True):
+            grown.replace(place)
+    return list(plan.points)
+
+
 def write_account(
     folder: Path,
     collection: MapCollection,
@@ -141,7 +215,9 @@ def write_account(
     """Write what comes of a cleaned map beside it: thinned map, labels, page, figures."""
     if configuration.output.voxel is not None:
         places = [staging / name for name in names.thinned]
-        write_thinned(collection, cleaned.labels, configuration.output, places, staging, observer)
+        write_thinned(
+            collection, cleaned.rows["label"], configuration.output, places, staging, observer
+        )
     if configuration.output.labels:
         write_labels(cleaned, staging / LABELS_FILE)
     observer.finish()

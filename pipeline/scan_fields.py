@@ -242,12 +242,9 @@ class Tally:
 
 
 def _tenth_of(name: str, values: NDArray[Any], given: bool) -> float | None:
-    """Return how many units of a field make a tenth of a second.
+    """Return how many units of a field make a tenth of a second, 0 for scan numbers.
 
-    Returns
-    -------
-    float or None
-        0 for scan numbers; None where no point tells yet, or it may be anything.
+    None where no point tells yet, or it may be anything.
     """
     if values.dtype.kind == "M":
         return 1e8

@@ -24,14 +24,11 @@ def numbers_of_poses(
 
     Parameters
     ----------
-    poses : ScanPoses
-        Of the scans that a map was made of.
     seen : (n,) int64 array
-        Different scan numbers, or tenths of a second, of the map's points; ascending.
+        Different scan numbers, or with `in_tenths` tenths of a second, of the map's points;
+        ascending.
     field : str
         That tells them.
-    in_tenths : bool
-        Whether they are tenths of a second.
 
     Raises
     ------
@@ -129,17 +126,7 @@ class ScanSource(BaseModel):
         return f"order of the rows, about {self.scans:,} scans"
 
     def numbers(self, collection: MapCollection, file: int, batch: PointBatch) -> NDArray[np.int32]:
-        """Return the scan number of each point of a batch of the map, -1 where it is not known.
-
-        Parameters
-        ----------
-        collection : MapCollection
-            The map.
-        file : int
-            That the batch comes from.
-        batch : PointBatch
-            As `MapCollection.batches` gives it.
-        """
+        """Return the scan number of each point of a batch of the map, -1 where it is not known."""
         row = batch.first_row + np.arange(len(batch.xyz))
         if self.kind == "files":
             firsts = collection.scan_rows

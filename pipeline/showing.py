@@ -11,18 +11,10 @@ from typing import Any
 from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError, OutputError, PipelineError
 from tiling.atomic import atomic_file
-from tiling.foreign_text import escaped as printable
+from tiling.foreign_text import escaped
 
-__all__ = [
-    "check_named_file",
-    "drawable",
-    "drawing_library",
-    "is_text",
-    "named_file",
-    "only_showing",
-    "optional_package",
-    "printable",
-]
+printable = escaped
+"""Names of files, and what they hold, as text that any terminal and page can show."""
 
 logger = logging.getLogger("dynahull")
 

@@ -16,8 +16,8 @@ from dynahull.labels import Label
 from dynahull.removal import removable_count, removal_count, removal_percentages, remove_likely
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import PROTECTED, marks
-from pipeline.errors import VerificationError
-from pipeline.outputs.modes import DENSITY, LABEL, SCORE, PointScores, mode_of
+from pipeline.errors import OutputError, VerificationError
+from pipeline.outputs.modes import DENSITY, LABEL, SCORE, mode_of, scores_of
 from pipeline.outputs.reading import added_values, row_columns
 from pipeline.outputs.run_report import InputFile, RunReport
 from pipeline.outputs.writing import MapPart, parts_of
@@ -98,7 +98,7 @@ def _read_report(folder: Path) -> tuple[RunReport, Configuration]:
     try:
         report = RunReport.read(folder)
         configuration = Configuration.model_validate(report.configuration)
-    except (OSError, ValueError):
+    except (OutputError, ValueError):
         raise VerificationError(no_result(folder)) from None
     missing = [name for name in report.outputs if not (folder / name).is_file()]
     if missing:
@@ -128,8 +128,7 @@ def _verify_part(
     columns = table or _Rows(_labelled(folder / str(file.labelled), configuration))
     for batch in batches:
         own = columns.take(len(batch.xyz))
-        score = own.get(SCORE) if configuration.removal.weighs_evidence else None
-        scores = PointScores(own[DENSITY], score)
+        scores = scores_of(own, configuration)
         mode = mode_of(reader, configuration.output, own[LABEL], scores)
         expected = mode.records(replace(batch, first_row=0))
         for output, records in zip(outputs, expected, strict=True):

@@ -1,9 +1,7 @@
 """What is written of each file of the map: what stays and what goes, or all of it with labels."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +10,8 @@ from dynahull.labels import Label
 from pipeline.configuration.run import Configuration, OutputParameters
 from pipeline.errors import ConfigurationError
 from tiling.errors import MapFormatError
-from tiling.formats import Field, MapReader, MapWriter, PointBatch
-from tiling.formats.parts import PartWriter
+from tiling.formats import Field, MapReader, PointBatch
+from tiling.formats.base import ExtendedFormat
 
 LABEL, DENSITY, SCORE, ORIGINAL_CLASS = "label", "density", "score", "original_class"
 """Fields of a labelled map."""
@@ -26,32 +24,15 @@ _AT_A_TIME = 1 << 22
 Labels = NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PointScores:
-    """What a labelled map says of each point beside its label."""
-
-    density: NDArray[np.float64]
-    """(n,): NaN where not scored."""
-    score: NDArray[np.float32] | None
-    """(n,): probability of having moved; None where no evidence was weighed."""
-
-    def of(self, rows: slice) -> "PointScores":
-        """Return those of some rows."""
-        return PointScores(self.density[rows], None if self.score is None else self.score[rows])
-
-    def columns(self) -> list[NDArray[Any]]:
-        """Return the values of the fields, in their order."""
-        return [np.asarray(each) for each in (self.density, self.score) if each is not None]
+Scores = Mapping[str, NDArray[Any]]
+"""What a labelled map says of each point beside its label, (n,) each, in this order: density, NaN
+where not scored; and where evidence was weighed score, the probability of having moved."""
 
 
-class OutputFormat(Protocol):
-    """What an output is written by: the input's own reader, or one of longer points."""
-
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a whole output."""
-
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer of an output in parts."""
+def scores_of(columns: Mapping[str, NDArray[Any]], configuration: Configuration) -> Scores:
+    """Return those of some columns that a labelled map has."""
+    names = (DENSITY, SCORE) if configuration.removal.weighs_evidence else (DENSITY,)
+    return {name: columns[name] for name in names}
 
 
 class SplitMode:
@@ -59,7 +40,7 @@ class SplitMode:
 
     def __init__(self, reader: MapReader, labels: Labels) -> None:
         self.reader = reader
-        self.formats: tuple[OutputFormat, ...] = (reader, reader)
+        self.formats: tuple[MapReader | ExtendedFormat, ...] = (reader, reader)
         self._labels = labels
 
     def counts(self, rows: range) -> tuple[int, int]:
@@ -85,12 +66,12 @@ class LabelMode:
         self,
         reader: MapReader,
         labels: Labels,
-        scores: PointScores,
+        scores: Scores,
         classes: dict[Label, int | None],
     ) -> None:
         self.reader = reader
-        self._extended = reader.extended(added_fields(reader, scores.score is not None))
-        self.formats: tuple[OutputFormat, ...] = (self._extended,)
+        self._extended = reader.extended(added_fields(reader, SCORE in scores))
+        self.formats: tuple[MapReader | ExtendedFormat, ...] = (self._extended,)
         self._labels = labels
         self._scores = scores
         self._kept = np.array([classes[label] is None for label in Label])
@@ -104,7 +85,7 @@ class LabelMode:
         """Add labels and scores, and set the classes."""
         rows = slice(batch.first_row, batch.first_row + len(batch.xyz))
         labels = np.asarray(self._labels[rows])
-        values: list[NDArray[Any]] = [labels, *self._scores.of(rows).columns()]
+        values = [labels, *(np.asarray(each[rows]) for each in self._scores.values())]
         if batch.classification is None:
             return (self._extended.extend(batch, values),)
         classes = np.where(self._kept[labels], batch.classification, self._classes[labels])
@@ -194,10 +175,9 @@ def _check_merging(readers: Sequence[MapReader]) -> None:
 
 
 def mode_of(
-    reader: MapReader, output: OutputParameters, labels: Labels, scores: PointScores | None
+    reader: MapReader, output: OutputParameters, labels: Labels, scores: Scores
 ) -> OutputMode:
     """Return how the points of a file go into its outputs; scores where `output.needs_scores`."""
     if output.mode == "split":
         return SplitMode(reader, labels)
-    assert scores is not None  # asked for
     return LabelMode(reader, labels, scores, output.classes.of_labels())

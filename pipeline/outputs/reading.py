@@ -1,6 +1,5 @@
 """The points of a finished run with all that its outputs say of them."""
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from dynahull.labels import Label
 from pipeline.errors import OutputError
 from pipeline.outputs.modes import DENSITY, LABEL, own_names
-from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
+from pipeline.outputs.run_report import InputFile, RunReport
+from pipeline.replacing import LABELS_FILE
 from tiling.errors import MapFormatError
 from tiling.formats import field_values, open_map
 from tiling.formats.parquet_tables import open_parquet
@@ -47,17 +47,11 @@ def read_result(folder: Path) -> ResultPoints:
     OutputError
         When the folder holds no complete result, or its files are not those of the run.
     """
-    try:
-        report = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-        files = [dict(file) for file in report["files"]]
-        if report["configuration"]["output"].get("merge"):
-            files = files[:1]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise OutputError(no_result(folder)) from None
-    table = folder / LABELS_FILE
-    if LABELS_FILE in report.get("outputs", ()):
-        labels, density = _read_table(table)
-        starts = [file["first_row"] for file in files] + [len(labels)]
+    report = RunReport.read(folder)
+    files = report.files[:1] if report.configuration["output"].get("merge") else report.files
+    if LABELS_FILE in report.outputs:
+        labels, density = _read_table(folder / LABELS_FILE)
+        starts = [file.first_row for file in files] + [len(labels)]
         rows = [slice(*bounds) for bounds in pairwise(starts)]
         xyz = [
             _points_in_order(folder, file, labels[own])
@@ -78,38 +72,33 @@ def _finite(xyz: Points, labels: Labels, density: Densities | None) -> ResultPoi
     return ResultPoints(xyz[finite], labels[finite], None if density is None else density[finite])
 
 
-def _points_in_order(folder: Path, file: dict[str, Any], labels: Labels) -> Points:
+def _points_in_order(folder: Path, file: InputFile, labels: Labels) -> Points:
     """Read the points of one input file, in its order, from what was written of it."""
-    if file.get("labelled"):
-        xyz = _read_xyz(folder, file, "labelled")
-        dynamic = np.empty((0, 3))
-    else:
-        xyz = np.empty((len(labels), 3))
-        kept = labels != Label.DYNAMIC
-        static, dynamic = (_read_xyz(folder, file, kind) for kind in ("static", "dynamic"))
-        if (len(static), len(dynamic)) == (kept.sum(), len(kept) - kept.sum()):
-            xyz[kept], xyz[~kept] = static, dynamic
-            return xyz
-    if len(xyz) != len(labels) or len(dynamic):
+    parts = [_read_xyz(folder, file, name) for name in file.outputs]
+    gone = labels == Label.DYNAMIC
+    rows = [np.arange(len(labels))] if file.labelled else [*map(np.flatnonzero, (~gone, gone))]
+    if [len(part) for part in parts] != [len(own) for own in rows]:
         raise OutputError(
             f"{folder / LABELS_FILE}: expected labels of the points beside it, found "
             f"{len(labels)} labels: files were changed since the run"
         )
+    xyz = np.empty((len(labels), 3))
+    xyz[np.concatenate(rows)] = np.concatenate(parts)
     return xyz
 
 
-def _points_of(folder: Path, file: dict[str, Any]) -> tuple[Points, Labels, Densities | None]:
+def _points_of(folder: Path, file: InputFile) -> tuple[Points, Labels, Densities | None]:
     """Read what was written of one input file, where there is no table of labels."""
-    if not file.get("labelled"):
-        static, dynamic = (_read_xyz(folder, file, kind) for kind in ("static", "dynamic"))
+    if file.labelled is None:
+        static, dynamic = (_read_xyz(folder, file, name) for name in file.outputs)
         labels = np.repeat(
             np.array([Label.STATIC, Label.DYNAMIC], np.uint8), [len(static), len(dynamic)]
         )
         return np.concatenate([static, dynamic]), labels, None
-    path = folder / file["labelled"]
+    path = folder / file.labelled
     labels = np.concatenate([np.empty(0, np.uint8), *label_batches(path)])
     density = np.concatenate([np.empty(0), *added_values(path, DENSITY)])
-    return _read_xyz(folder, file, "labelled"), labels, density
+    return _read_xyz(folder, file, file.labelled), labels, density
 
 
 def label_batches(path: Path) -> Iterator[Labels]:
@@ -140,13 +129,13 @@ def added_values(path: Path, name: str) -> Iterator[NDArray[Any]]:
         raise OutputError(f"{error}; run again with --labels, which writes {LABELS_FILE}") from None
 
 
-def _read_xyz(folder: Path, file: dict[str, Any], kind: str) -> Points:
+def _read_xyz(folder: Path, file: InputFile, name: str) -> Points:
     """Read the points of one output of an input file, in the map's frame."""
-    batches = open_map(folder / file[kind]).batches()
+    batches = open_map(folder / name).batches()
     xyz = np.concatenate([np.empty((0, 3)), *(batch.xyz for batch in batches)])
-    if file.get("pose") is None:
+    if file.pose is None:
         return xyz
-    pose = np.array(file["pose"]).reshape(3, 4)
+    pose = np.array(file.pose).reshape(3, 4)
     return np.asarray(xyz @ pose[:, :3].T + pose[:, 3])
 
 

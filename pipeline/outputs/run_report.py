@@ -11,11 +11,12 @@ from pydantic import BaseModel, SkipValidation
 
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import Configuration, is_elsewhere
+from pipeline.errors import OutputError
 from pipeline.outputs.folder import OutputNames
 from pipeline.places import Decision, Place
 from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
-from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE
+from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE, no_result
 from pipeline.showing import printable
 from pipeline.units import of_map
 from tiling.collection import MapCollection
@@ -121,10 +122,13 @@ class RunReport(BaseModel, frozen=True):
 
         Raises
         ------
-        OSError, ValueError
+        OutputError
             When there is no such file, or it is not the report of a run.
         """
-        return cls.model_validate(json.loads((folder / RUN_FILE).read_text(encoding="utf-8")))
+        try:
+            return cls.model_validate(json.loads((folder / RUN_FILE).read_text(encoding="utf-8")))
+        except (OSError, ValueError):
+            raise OutputError(no_result(folder)) from None
 
     @classmethod
     def of(

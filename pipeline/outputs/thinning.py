@@ -101,8 +101,6 @@ def write_means(
 
     Parameters
     ----------
-    reader : MapReader
-        Which `batches` are of.
     batches : iterable of PointBatch
         All points of a file.
     owners : (n,) int64 array

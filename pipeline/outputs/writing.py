@@ -1,10 +1,10 @@
 """What a run made of a map, and the files that it is written into."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from dynahull.result import ClusterSummary
 from pipeline.configuration.run import OutputParameters
 from pipeline.errors import LostPointsError
 from pipeline.outputs.folder import OutputNames
-from pipeline.outputs.modes import OutputMode, PointScores, mode_of
+from pipeline.outputs.modes import OutputMode, Scores, mode_of
 from pipeline.places import Decision
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
@@ -33,12 +33,8 @@ from tiling.output_file import create_file
 class CleanedMap:
     """What became of every point, in memory or in files that look like it."""
 
-    labels: NDArray[np.uint8]
-    cluster: NDArray[np.int32] | None
-    density: NDArray[np.float64] | None
-    score: NDArray[np.float32] | None
-    reason: NDArray[np.uint8] | None
-    """(N,) each; all but the labels are None where nobody asked for them."""
+    rows: Mapping[str, NDArray[Any]]
+    """(N,) each: `label`; where they are asked for `cluster`, `density`, `score` and `reason`."""
     counts: dict[str, int]
     """Points of each label."""
     clusters: tuple[ClusterSummary, ...]
@@ -52,19 +48,9 @@ class CleanedMap:
 
 
 def make_places(names: OutputNames, folder: Path) -> list[tuple[Path, ...]]:
-    """Return the outputs of each file of the map, in a folder; make the folders they go to.
-
-    Raises
-    ------
-    LostPointsError
-        When one would be written over another.
-    """
+    """Return the outputs of each file of the map, in a folder; make the folders they go to."""
     outputs = [tuple(folder / name for name in of_file) for of_file in names.by_file]
-    places = [place for of_file in outputs for place in of_file]
-    if len(set(places)) < len(places):
-        twice = next(place for place in places if places.count(place) > 1)
-        raise LostPointsError(f"{twice}: two files of the map would be written here")
-    for place in places:
+    for place in chain.from_iterable(outputs):
         place.parent.mkdir(parents=True, exist_ok=True)
     return outputs
 
@@ -104,7 +90,7 @@ def write_maps(
     collection: MapCollection,
     output: OutputParameters,
     labels: NDArray[np.uint8],
-    scores: PointScores | None,
+    scores: Scores,
     outputs: Sequence[tuple[Path, ...]],
     observer: StageObserver,
     written: Collection[int] = (),
@@ -117,7 +103,7 @@ def write_maps(
     Parameters
     ----------
     labels : (N,) uint8 array
-    scores : PointScores or None
+    scores : Scores
         There where the outputs are labelled.
     outputs : sequence of tuple of Path
         Of each file of the map.
@@ -137,7 +123,7 @@ def write_maps(
         observer.stage("write", sum(parts[index].count for index in streams))
     for index in streams:
         part = parts[index]
-        own = None if scores is None else scores.of(part.rows)
+        own = {name: values[part.rows] for name, values in scores.items()}
         mode = mode_of(part.reader, output, labels[part.rows], own)
         batches: Iterable[PointBatch] = part.batches(DEFAULT_BATCH)
         if read is not None and not output.merge:
@@ -183,8 +169,6 @@ def merged_batches(
 
 def write_labels(cleaned: CleanedMap, path: Path) -> None:
     """Write what is known of every point, in input order, as Parquet."""
-    every = (cleaned.labels, cleaned.cluster, cleaned.density, cleaned.score, cleaned.reason)
-    columns: list[NDArray[Any]] = [each for each in every if each is not None]  # asked for
     titles = pa.array([label.title for label in Label])
     schema = pa.schema(
         {
@@ -198,7 +182,8 @@ def write_labels(cleaned: CleanedMap, path: Path) -> None:
     with ExitStack() as stack:
         file = stack.enter_context(create_file(path))
         writer = stack.enter_context(pq.ParquetWriter(file, schema, compression="zstd"))
-        for start in range(0, len(cleaned.labels), DEFAULT_BATCH):
+        columns = [cleaned.rows[name] for name in schema.names]
+        for start in range(0, len(columns[0]), DEFAULT_BATCH):
             codes, *rest = (np.asarray(each[start : start + DEFAULT_BATCH]) for each in columns)
             label = pa.DictionaryArray.from_arrays(pa.array(codes.astype(np.int8)), titles)
             table = pa.table([label, *map(pa.array, rest)], schema=schema)

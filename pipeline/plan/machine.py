@@ -10,7 +10,6 @@ import resource
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -80,18 +79,6 @@ def available_memory(root: Path = Path("/")) -> int:
     return free if left is None else min(free, left)
 
 
-@dataclass(frozen=True, slots=True)
-class _Mount:
-    """A tree of groups, as the process sees it."""
-
-    folder: Path
-    """Where it is seen."""
-    root: str
-    """The group that is seen there."""
-    is_second: bool
-    """Whether it is of the second version, which limits everything, or of the first for memory."""
-
-
 def memory_left(root: Path = Path("/")) -> int | None:
     """Return the bytes that the control groups of this process leave it; None without a limit."""
     left = []
@@ -116,48 +103,22 @@ def memory_left(root: Path = Path("/")) -> int | None:
 def _groups(root: Path) -> Iterator[tuple[Path, bool]]:
     """Yield the groups of this process that limit memory, and all those above that it sees.
 
-    With each comes whether its files are those of the second version.
+    With each comes whether its files are those of the second version. The trees are where they
+    are on nearly every system.
     """
-    told = [line.split(":", 2) for line in _lines(root / "proc/self/cgroup")]
-    places = [(words[1], words[2]) for words in told if len(words) == 3]
-    for mount in [*_mounts(root)] or _usual_mounts(root):
-        for controllers, place in places:
-            if not controllers if mount.is_second else "memory" in controllers.split(","):
-                for folder in _seen(mount, place):
-                    yield folder, mount.is_second
-
-
-def _seen(mount: _Mount, place: str) -> Iterator[Path]:
-    """Yield where a group is seen, and the groups above it; the latter where it is not seen."""
-    group = Path(place.lstrip("/"))
-    top = Path(mount.root.lstrip("/"))
-    inside = group.relative_to(top) if group.is_relative_to(top) else Path()
-    if ".." in inside.parts:  # outside of what a container is shown
-        inside = Path()
-    for each in (inside, *inside.parents):
-        if (mount.folder / each).is_dir():
-            yield mount.folder / each
-
-
-def _mounts(root: Path) -> Iterator[_Mount]:
-    for line in _lines(root / "proc/self/mountinfo"):
-        fields, _, source = line.partition(" - ")
-        if not source.startswith("cgroup"):
-            continue
-        try:
-            seen, place = fields.split(" ")[3:5]
-            kind, _, options = source.split(" ", 2)
-        except ValueError:
-            continue
-        if kind != "cgroup" or "memory" in options.split(","):
-            folder = root / place.replace(r"\040", " ").lstrip("/")
-            yield _Mount(folder, seen, kind != "cgroup")
-
-
-def _usual_mounts(root: Path) -> list[_Mount]:
-    """Return where the trees are on nearly every system, if that is not said."""
-    folder = root / "sys/fs/cgroup"
-    return [_Mount(folder, "/", True), _Mount(folder / "memory", "/", False)]
+    tree = root / "sys/fs/cgroup"
+    for line in _lines(root / "proc/self/cgroup"):
+        _, _, told = line.partition(":")
+        controllers, _, place = told.partition(":")
+        is_second = not controllers
+        if place and (is_second or "memory" in controllers.split(",")):
+            group = Path(place.lstrip("/"))
+            if ".." in group.parts:  # outside of what a container is shown
+                group = Path()
+            for each in (group, *group.parents):
+                folder = tree / ("" if is_second else "memory") / each
+                if folder.is_dir():
+                    yield folder, is_second
 
 
 def _statistics(path: Path) -> dict[str, int]:

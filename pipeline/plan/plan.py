@@ -268,22 +268,16 @@ def draw_plan(plan: Plan, survey: Survey, path: Path) -> None:
     if len(corners):
         image, extent = _occupancy_image(occupancy)
         axes.imshow(image, extent=extent, origin="lower", cmap="Greys", interpolation="nearest")
+
+    def outline(low: NDArray[np.float64], high: NDArray[np.float64], **style: str) -> None:
+        axes.add_patch(mpl.patches.Rectangle(low, *(high - low), fill=False, **style))
+
     for tile in plan.layout:
-        low, size = tile.low, tile.high - tile.low
-        axes.add_patch(
-            mpl.patches.Rectangle(
-                (low[0], low[1]), size[0], size[1], fill=False, edgecolor="tab:blue"
-            )
-        )
+        outline(tile.low, tile.high, edgecolor="tab:blue")
     if len(plan.layout):
-        largest = int(np.argmax(plan.layout.counts))
-        low = plan.layout.low[largest] - plan.halo
-        size = plan.layout.high[largest] + plan.halo - low
-        axes.add_patch(
-            mpl.patches.Rectangle(
-                (low[0], low[1]), size[0], size[1], fill=False, edgecolor="tab:red", linestyle="--"
-            )
-        )
+        largest = plan.layout[int(np.argmax(plan.layout.counts))]
+        low, high = largest.low - plan.halo, largest.high + plan.halo
+        outline(low, high, edgecolor="tab:red", linestyle="--")
         axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set_xlabel("x, m")

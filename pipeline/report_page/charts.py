@@ -16,11 +16,8 @@ from pipeline.report_page.percentages import Percentages
 MOST_HISTOGRAMS = 12
 """Clusters whose densities are drawn, the largest first."""
 
-MOST_TILES = 50_000
-"""Tiles that are drawn; more would not be told apart."""
-
-_NAMED_TILES = 2_000
-"""Tiles that are drawn one by one, each with its numbers."""
+MOST_TILES = 2_000
+"""Tiles that are drawn, each with its numbers; more would not be told apart."""
 
 _SHADES = 6
 _BINS = 60
@@ -218,8 +215,6 @@ class TileChart:
     """Seconds at the ends of the shades, one more than there are shades."""
     shades: list[int]
     """Of each tile."""
-    by_shade: list[str]
-    """Where tiles are too many to be named, the outline of all those of each shade."""
 
     @classmethod
     def of(cls, work: TileWork) -> Self | None:
@@ -236,15 +231,4 @@ class TileChart:
         limits = np.linspace(0, max(float(work.seconds.max(initial=0)), 1e-3), _SHADES + 1)
         found = np.searchsorted(limits, work.seconds, side="left") - 1
         shades = np.clip(found, 0, _SHADES - 1)
-        by_shade = []
-        if len(work) > _NAMED_TILES:
-            corners = zip(work.low.tolist(), work.high.tolist(), strict=True)
-            paths = np.array(
-                [
-                    f"M{x.at(x0)} {y.at(y0)}V{y.at(y1)}H{x.at(x1)}V{y.at(y0)}z"
-                    for (x0, y0), (x1, y1) in corners
-                ],
-                dtype=object,
-            )
-            by_shade = ["".join(paths[shades == shade]) for shade in range(_SHADES)]
-        return cls(work, x, y, limits.tolist(), shades.tolist(), by_shade)
+        return cls(work, x, y, limits.tolist(), shades.tolist())

@@ -45,11 +45,13 @@ def encode(sample: MapSample, percentages: Percentages) -> EncodedSample:
     shown = np.flatnonzero(((sample.xyz >= low) & (sample.xyz <= high)).all(axis=1))
     span = np.where(high > low, high - low, 1.0)
     places = np.rint((sample.xyz[shown] - low) / span * _MOST)
+    labels = sample.labels[shown]
     density, density_range = _density_codes(sample.density[shown])
     arrays = {
         "places": places.astype("<u2"),
         "percentages": _percentage_codes(percentages)[shown],
-        "labels": _labels(sample.labels[shown]),
+        # The percentage decides between static and dynamic.
+        "labels": np.where(labels == Label.DYNAMIC, np.uint8(Label.STATIC), labels),
         "clusters": (sample.cluster[shown] % 250).astype(np.uint8),
         "densities": density,
     }
@@ -142,11 +144,6 @@ def _percentage_codes(percentages: Percentages) -> NDArray[np.uint16]:
     removed = percentages.removed_from[known] <= percentages.own
     codes[known] = np.where(removed, np.minimum(code, own), np.maximum(code, own + 1))
     return codes
-
-
-def _labels(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return labels of which the percentage decides between static and dynamic."""
-    return np.where(labels == Label.DYNAMIC, np.uint8(Label.STATIC), labels).astype(np.uint8)
 
 
 def _density_codes(

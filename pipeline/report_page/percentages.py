@@ -24,8 +24,8 @@ NEVER = np.inf
 TABLE_STEP = 0.1
 """Percent between two entries of the table of removed points, by Eq. 1."""
 
-_CUT_STEP = 1.0
-"""Percent between two entries of the table of cuts."""
+_CUTS = np.arange(101.0)
+"""Percentages of the entries of the table of cuts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +70,8 @@ def removal_percentages(
         finite = _removable(cluster, len(order), len(members), rate * own)
         gone = int(np.count_nonzero(sample.labels[order] == Label.DYNAMIC))
         percentage = _percentages_in_order(len(order), gone, cluster, finite, rate)
-        removed_from[order] = np.concatenate(
-            [
-                np.minimum(percentage[:gone], own),
-                np.maximum(percentage[gone:], np.nextafter(own, np.inf)),
-            ]
-        )
+        removed_from[order[:gone]] = np.minimum(percentage[:gone], own)
+        removed_from[order[gone:]] = np.maximum(percentage[gone:], np.nextafter(own, np.inf))
         removed += np.minimum(np.floor(rate * steps * cluster.count + 1e-6), finite)
         cuts[cluster.index] = _cut_table(sample.density[order], removed_from[order])
         if len(members):
@@ -102,7 +98,7 @@ def confidence_percentages(
         np.where(np.isnan(sample.score) | protected, NEVER, lacking),
         100 / SCORE_STEPS,
         decision.removed_at()[::-1],
-        {cluster.index: np.full(round(100 / _CUT_STEP) + 1, np.nan) for cluster in clusters},
+        {cluster.index: np.full(len(_CUTS), np.nan) for cluster in clusters},
         0.0,
     )
 
@@ -155,8 +151,7 @@ def _percentages_in_order(
 def _cut_table(
     density: NDArray[np.float64], removed_from: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    percentages = np.arange(round(100 / _CUT_STEP) + 1) * _CUT_STEP
-    count = np.searchsorted(removed_from, percentages, side="right")
     if not len(density):
-        return np.full(len(percentages), np.nan)
+        return np.full(len(_CUTS), np.nan)
+    count = np.searchsorted(removed_from, _CUTS, side="right")
     return np.where(count > 0, density[np.maximum(count - 1, 0)], np.nan)

@@ -18,8 +18,7 @@ from pipeline.tiles.weighing import weigh_tile
 from pipeline.tiles.writing import file_of_part, write_part
 from pipeline.work.files import write_sealed
 from pipeline.work.folder import TaskReport
-from pipeline.work.job import Job
-from pipeline.work.map_state import check_map
+from pipeline.work.job import Job, check_map
 from pipeline.workers.executors import Executor, Outcome, TaskFailure
 from tiling.errors import TilingError
 from tiling.ledger import noting

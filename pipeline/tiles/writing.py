@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import WorkError
-from pipeline.outputs.modes import OutputMode, PointScores, mode_of
+from pipeline.outputs.modes import OutputMode, Scores, mode_of, scores_of
 from pipeline.work.files import open_rows, read_if_whole, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import CREATING, Job
@@ -182,18 +182,17 @@ def _mode_of_file(job: Job, file: int) -> OutputMode:
     first_row = job.collection.first_rows[file]
     rows = slice(first_row, first_row + reader.description.point_count)
     labels = open_rows(job.rows_path("label"), np.uint8)[rows]
-    scores = kept_scores(job)
-    return mode_of(reader, output, labels, None if scores is None else scores.of(rows))
+    scores = {name: values[rows] for name, values in kept_scores(job).items()}
+    return mode_of(reader, output, labels, scores)
 
 
-def kept_scores(job: Job) -> PointScores | None:
-    """Return what was kept of the scores of all rows, in files; None where nobody asked."""
+def kept_scores(job: Job) -> Scores:
+    """Return what was kept of the scores of all rows, in files; nothing where nobody asked."""
     if not job.configuration.output.needs_scores:
-        return None
-    score = None
-    if job.configuration.removal.weighs_evidence:
-        score = open_rows(job.rows_path("score"), np.float32)
-    return PointScores(open_rows(job.rows_path("density"), np.float64), score)
+        return {}
+    kinds = {"density": np.float64, "score": np.float32}
+    kept = {name: open_rows(job.rows_path(name), kind) for name, kind in kinds.items()}
+    return scores_of(kept, job.configuration)
 
 
 def finish_parts(job: Job, plan: OutputPlan) -> None:

@@ -1,9 +1,9 @@
 """The files of a work folder: small ones with a checksum, arrays of a task, and values by row.
 
 A small file is JSON, and tells by its checksum whether it is damaged. A file of arrays begins with
-a line of JSON that says of each array its name, type, shape and place; the arrays follow as they
-lie in memory, and are read back one by one, as fast as the disk gives them: NumPy's own archive
-computes a checksum at each reading and writing, and copies every array twice.
+a line of JSON, their names; they follow as `.npy` files, one behind the other. They are read back
+one by one, as fast as the disk gives them: NumPy's own archive computes a checksum at each reading
+and writing, and copies every array twice.
 """
 
 import json
@@ -12,9 +12,10 @@ import os
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
+import numpy.lib.format as npy
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import WorkError
@@ -71,17 +72,11 @@ def read_if_whole(path: Path) -> dict[str, Any] | None:
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays of fixed-size types, in any shape, by their names."""
-    described, size = [], 0
-    for name, array in arrays.items():
-        described.append((name, array.dtype.str, array.shape, size))
-        size += _padded(array.nbytes)
-    head = json.dumps(described).encode() + b"\n"
-    head = head.rjust(_padded(len(head)))
     with path.open("wb") as stream:
-        stream.write(head)
+        stream.write(json.dumps([*arrays]).encode() + b"\n")
         for array in arrays.values():
-            stream.write(np.ascontiguousarray(array).reshape(-1).data)
-            stream.write(bytes(_padded(array.nbytes) - array.nbytes))
+            stream.seek(_padded(stream.tell()))
+            npy.write_array(stream, array, (1, 0), allow_pickle=False)
 
 
 def read_arrays(path: Path, *names: str) -> list[NDArray[Any]]:
@@ -93,11 +88,7 @@ def read_arrays(path: Path, *names: str) -> list[NDArray[Any]]:
         When the file is shorter than it says, or has no such array.
     """
     with path.open("rb") as stream:
-        places = _places(path, stream, names)
-        try:
-            return [_read(stream, *place) for place in places]
-        except (ValueError, OverflowError):
-            raise _damaged(path, names) from None
+        return [_read(stream, *place) for place in _places(path, stream, names)]
 
 
 def map_array(path: Path, name: str) -> NDArray[Any]:
@@ -109,52 +100,45 @@ def map_array(path: Path, name: str) -> NDArray[Any]:
         When the file is shorter than it says, or has no such array.
     """
     with path.open("rb") as stream:
-        ((start, kind, shape),) = _places(path, stream, (name,))
+        ((start, kind, shape, order),) = _places(path, stream, (name,))
         if not math.prod(shape):
             return np.empty(shape, kind)  # nothing cannot be mapped
-        try:
-            # Not "r": compiled code would be compiled once more for arrays that are read only.
-            return np.asarray(np.memmap(stream, kind, "c", start, tuple(shape)))
-        except ValueError:
-            raise _damaged(path, (name,)) from None
+        # Not "r": compiled code would be compiled once more for arrays that are read only.
+        return np.asarray(np.memmap(stream, kind, "c", start, shape, order))
 
 
-_Place = tuple[int, np.dtype[Any], list[int]]
-"""First byte, type and shape of an array."""
+_Order = Literal["C", "F"]
+_Place = tuple[int, np.dtype[Any], tuple[int, ...], _Order]
+"""First byte, type, shape and order of an array."""
 
 
 def _places(path: Path, stream: BinaryIO, names: Sequence[str]) -> list[_Place]:
-    head = stream.readline()
-    try:
-        described = {name: place for name, *place in json.loads(head)}
-        places = [_place(len(head), *described[name]) for name in names]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise _damaged(path, names) from None
     size = os.fstat(stream.fileno()).st_size
-    if any(start + kind.itemsize * math.prod(shape) > size for start, kind, shape in places):
-        raise _damaged(path, names)
-    return places
+    places: dict[str, _Place] = {}
+    try:
+        for name in json.loads(stream.readline()):
+            stream.seek(_padded(stream.tell()))
+            npy.read_magic(stream)
+            shape, by_columns, kind = npy.read_array_header_1_0(stream)
+            start = stream.tell()
+            end = start + kind.itemsize * math.prod(shape)
+            if kind.hasobject or min(shape, default=0) < 0 or end > size:
+                raise ValueError("expected an array of numbers that the file holds whole")
+            stream.seek(end)
+            places[name] = start, kind, shape, "F" if by_columns else "C"
+        return [places[name] for name in names]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        wanted = ", ".join(names)
+        raise WorkError(
+            f"{path}: expected the arrays {wanted}, found a damaged file; {GO_ON}"
+        ) from None
 
 
-def _place(head: int, kind: Any, shape: Any, start: Any) -> _Place:
-    """Return where an array lies; raise a `ValueError` where no array of ours is so described."""
-    if type(kind) is not str or np.dtype(kind).kind not in "biufc":  # no addresses of objects
-        raise ValueError(f"expected the type of numbers, found {kind!r}")
-    if type(shape) is not list or not all(type(each) is int for each in (start, *shape)):
-        raise ValueError(f"expected integers, found {start!r}, {shape!r}")
-    if min(start, *shape, 0) < 0:
-        raise ValueError(f"expected no negative numbers, found {start}, {shape}")
-    return head + start, np.dtype(kind), shape
-
-
-def _damaged(path: Path, names: Sequence[str]) -> WorkError:
-    wanted = ", ".join(names)
-    return WorkError(f"{path}: expected the arrays {wanted}, found a damaged file; {GO_ON}")
-
-
-def _read(stream: BinaryIO, start: int, kind: np.dtype[Any], shape: list[int]) -> NDArray[Any]:
+def _read(
+    stream: BinaryIO, start: int, kind: np.dtype[Any], shape: tuple[int, ...], order: _Order
+) -> NDArray[Any]:
     stream.seek(start)
-    return np.fromfile(stream, kind, math.prod(shape)).reshape(shape)
+    return np.fromfile(stream, kind, math.prod(shape)).reshape(shape, order=order)
 
 
 def _padded(size: int) -> int:

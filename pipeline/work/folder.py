@@ -158,13 +158,11 @@ def is_self_contained(work: Path) -> bool:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(folder / entry.name)
-                elif not _is_only_here(entry.stat(follow_symlinks=False)):
+                    continue
+                status = entry.stat(follow_symlinks=False)
+                if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
                     return False
     return True
-
-
-def _is_only_here(status: os.stat_result) -> bool:
-    return stat.S_ISREG(status.st_mode) and status.st_nlink <= 1
 
 
 def remove_work(work: Path) -> None:

@@ -3,8 +3,11 @@
 It is kept in the work folder, so that a task needs no more than the folder's name and its number.
 """
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from os import stat_result
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +21,9 @@ from pipeline.scan_source import ScanSource
 from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
-from pipeline.work.map_state import MapState
 from tiling.chunks import ChunkStore
 from tiling.collection import MapCollection
+from tiling.errors import MapFormatError
 from tiling.kept_points import KeptPoints
 
 JOB_FILE = "job.json"
@@ -38,6 +41,17 @@ tiles, clusters, range images, outputs in parts."""
 
 LAST_READ_BY = {"cut": "chunk", "columns": "ground", "free": "density", "spread": "evidence"}
 """Folders of what is large and soon needed no more, and the stage that is the last to read it."""
+
+FileState = tuple[int, int, int, int]
+"""Bytes, nanoseconds of the last change of content and of inode, inode.
+
+Whoever rewrites a file can put its size and the first of these times back, but not the second. It
+moves when a file is linked or its permissions change, too: that is taken for a change as well, and
+costs work, never a wrong result.
+"""
+
+MapState = tuple[FileState, ...]
+"""Of each file of a map: its bytes are hashed once, and later this tells whether it was touched."""
 
 ROWS_AT_A_TIME = 500_000
 """Points of a range of rows that one task reads. Fixed: a run that goes on has the same ranges."""
@@ -199,3 +213,69 @@ def _opened(root: Path, time: int) -> Job:
 
 def _hash_of(collection: MapCollection) -> str | None:
     return None if collection.poses is None else collection.poses.hashed()
+
+
+def map_state(paths: Sequence[Path]) -> MapState:
+    """Return the state of a map's files.
+
+    Raises
+    ------
+    MapFormatError
+        When one is not there any more, or cannot be looked at.
+    """
+    states = []
+    for path in paths:
+        try:
+            status = path.stat()
+        except OSError as error:
+            raise _unreadable(path, error) from error
+        states.append(_state_of(status))
+    return tuple(states)
+
+
+def check_map(paths: Sequence[Path], state: MapState) -> None:
+    """Check that a map's files are as they were.
+
+    Raises
+    ------
+    InputChangedError
+        When they are not.
+    MapFormatError
+        When one is not there any more.
+    """
+    for path, now, before in zip(paths, map_state(paths), state, strict=True):
+        if now != before:
+            raise InputChangedError(f"{path}: the map changed while it was being cleaned")
+
+
+def _state_of(status: stat_result) -> FileState:
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+
+
+@contextmanager
+def unchanged(paths: Sequence[Path]) -> Iterator[MapState]:
+    """Hold a map to the state it has now; blame it for what goes wrong when it changed.
+
+    Raises
+    ------
+    InputChangedError
+        When a file is another one in the end, or when something goes wrong meanwhile.
+    MapFormatError
+        When a file is gone, or cannot be read any more.
+    """
+    state = map_state(paths)
+    try:
+        yield state
+    except Exception as error:
+        check_map(paths, state)
+        if isinstance(error, OSError) and error.filename is not None:
+            for path in paths:
+                if Path(error.filename).absolute() == path.absolute():
+                    raise _unreadable(path, error) from error
+        raise
+    check_map(paths, state)
+
+
+def _unreadable(path: Path, error: OSError) -> MapFormatError:
+    reason = error.strerror or type(error).__name__
+    return MapFormatError(path, "a map that can be read", reason[:1].lower() + reason[1:])

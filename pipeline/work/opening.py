@@ -19,8 +19,7 @@ from pipeline.configuration.run import Configuration
 from pipeline.progress import StageObserver
 from pipeline.work.files import read_if_whole
 from pipeline.work.folder import is_self_contained, remove, remove_work, stages_begun
-from pipeline.work.job import CHUNKS_FOLDER, JOB_FILE, PLANNING, STEPS, Job
-from pipeline.work.map_state import MapState
+from pipeline.work.job import CHUNKS_FOLDER, JOB_FILE, PLANNING, STEPS, Job, MapState
 from tiling.ledger import Written
 
 logger = logging.getLogger("dynahull")
@@ -45,16 +44,8 @@ def open_job(
 
     Parameters
     ----------
-    work : Path
-        The work folder.
-    paths : sequence of Path
-        The map's files.
     state : MapState
-        Theirs, from before the bytes were hashed.
-    digest : str
-        Of their bytes.
-    fresh : bool
-        Begin anew in any case.
+        From before the bytes of the map's files were hashed to their `digest`.
     observer : StageObserver
         Told when work of another map or configuration is given up, or is damaged.
     """
@@ -154,18 +145,14 @@ class _Verification:
     ) -> None:
         """Remove markers that are damaged, or whose files are."""
         for path in markers:
-            damaged = self._looked_at(path, matters)
+            marker = self._work.marker(path)
+            written = () if marker is None else filter(matters, marker.written)
+            damaged = [each.path for each in written if not each.is_intact()]
+            if marker is None:
+                damaged.append(path)
             self._damaged.update(str(each.relative_to(self._work.root)) for each in damaged)
             if damaged:
                 remove(path)
             for each in damaged:
                 if each.is_dir():  # nothing could be put in its place
                     remove(each)
-
-    def _looked_at(self, path: Path, matters: Callable[[Written], bool]) -> list[Path]:
-        """Return what is damaged: the marker, or files that it knows."""
-        marker = self._work.marker(path)
-        if marker is None:
-            return [path]
-        written = filter(matters, marker.written)
-        return [each.path for each in written if not each.is_intact()]

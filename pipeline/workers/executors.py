@@ -6,7 +6,6 @@ thousand tiles holds no graph of itself.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any, Protocol
@@ -64,13 +63,13 @@ class InProcess:
             yield number, self._outcome(task, folder, number)
 
     def _outcome(self, task: Task, folder: str, number: int) -> Outcome:
-        for _ in range(RETRIES):
-            with suppress(OSError):
+        outcome: Outcome
+        for _ in range(1 + RETRIES):
+            try:
                 return _guarded(task, folder, number)
-        try:
-            return _guarded(task, folder, number)
-        except OSError as error:
-            return _failure(error)
+            except OSError as error:
+                outcome = _failure(error)
+        return outcome
 
 
 class OnDask:

@@ -370,7 +370,7 @@ def test_poses_that_change_are_noticed(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.in_tiles.write_maps", killing)
+        patch.setattr("pipeline.run.write_maps", killing)
         with pytest.raises(KeyboardInterrupt):
             cleaned(folder, tmp_path / "out", most=700)
     (folder / "poses.txt").write_text(lines(POSES + 0.5 * (np.arange(4) == 3)))

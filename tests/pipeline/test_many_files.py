@@ -9,7 +9,7 @@ import pytest
 from pipeline.configuration.run import load_configuration
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.work import map_state
+from pipeline.work import job
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")
 
@@ -48,7 +48,7 @@ def work(folder, files, suffix, max_points, monkeypatch):
             np.save(maps / f"{number}.npy", of_file)
         else:
             (maps / f"{number}.pcd").write_text(pcd(of_file))
-    state_of = map_state._state_of
+    state_of = job._state_of
     _counts.clear()
 
     def counted(status):
@@ -58,7 +58,7 @@ def work(folder, files, suffix, max_points, monkeypatch):
     configuration = load_configuration(None, [*WANTED, f"tiling.max_points={max_points}"])
     _counting.append(True)
     with monkeypatch.context() as patch:
-        patch.setattr(map_state, "_state_of", counted)
+        patch.setattr(job, "_state_of", counted)
         report = run([maps], folder / f"out{files}", configuration, StageObserver(LogDisplay()))
     _counting.clear()
     assert sum(report.counts.values()) == files * POINTS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import InputChangedError
-from pipeline.work.map_state import check_map, map_state, unchanged
+from pipeline.work.job import check_map, map_state, unchanged
 
 
 def test_a_map_rewritten_in_place_with_its_time_put_back(tmp_path):

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from pipeline.configuration.run import Configuration
-from pipeline.row_order import rows_of_a_scan
-from pipeline.scan_numbers import find_scans
+from pipeline.scan_numbers import find_scans, rows_of_a_scan
 from tiling.collection import MapCollection
 
 SCAN, SCANS = 2_000, 60

@@ -9,7 +9,6 @@ import dask
 import numpy as np
 import pytest
 
-from pipeline import in_tiles
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import TasksFailedError
 from pipeline.progress import LogDisplay, StageObserver
@@ -151,7 +150,7 @@ def test_a_tile_whose_worker_is_killed_is_done_in_parts(map_file, tmp_path, monk
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         local_workers(1, 3 << 30) as executor,
     ):
-        monkeypatch.setattr(in_tiles, "workers_for", lambda *_: nullcontext(executor))
+        monkeypatch.setattr("pipeline.run.workers_for", lambda *_: nullcontext(executor))
         report = cleaned(map_file, tmp_path)
     assert (
         "ground task 2: its workers died, probably for want of memory; it is done again in 4 "
