@@ -5,9 +5,9 @@ The figures take the distances from each point of one map to its nearest point i
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,15 +98,13 @@ class ChamferDistance(BaseModel, frozen=True):
     """What it lacks."""
 
     @classmethod
-    def of(
-        cls, cleaned_to_truth: DirectedChamfer, truth_to_cleaned: DirectedChamfer
-    ) -> "ChamferDistance":
-        """Add the two directions."""
+    def of(cls, there: DirectedChamfer, back: DirectedChamfer) -> "ChamferDistance":
+        """Add the directions: cleaned to truth, and back."""
         return cls(
-            squared=cleaned_to_truth.squared + truth_to_cleaned.squared,
-            unsquared=cleaned_to_truth.unsquared + truth_to_cleaned.unsquared,
-            cleaned_to_truth=cleaned_to_truth,
-            truth_to_cleaned=truth_to_cleaned,
+            squared=there.squared + back.squared,
+            unsquared=there.unsquared + back.unsquared,
+            cleaned_to_truth=there,
+            truth_to_cleaned=back,
         )
 
 
@@ -118,8 +116,7 @@ def _exact_sum(
     return math.fsum(chain.from_iterable(changed(part).tolist() for part in parts))
 
 
-@dataclass(frozen=True, slots=True)
-class Geometry:
+class Geometry(NamedTuple):
     """The distances between two maps; `earth_mover` is None where none was asked for."""
 
     distances: DistanceStatistics
@@ -169,7 +166,7 @@ def _transport(
         for stream, cloud in enumerate((truth, truth, cleaned))
     )
     observer.stage("transport", len(of_cleaned))
-    earth_mover = EarthMoversDistance(
+    return EarthMoversDistance(
         distance=transport_cost(of_cleaned, of_truth, options.ground_cost),
         sampling_floor=transport_cost(other, of_truth, options.ground_cost),
         cleaned_points=len(of_cleaned),
@@ -177,5 +174,3 @@ def _transport(
         ground_cost=options.ground_cost,
         seed=options.seed,
     )
-    observer.advance(len(of_cleaned))
-    return earth_mover

@@ -5,9 +5,9 @@ then gone through tile by tile. Each map is read twice, in batches; what is foun
 is written beside it. No figure depends on how the maps are cut, to the last bit.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from dynahull.progress import Observer
 from pipeline.errors import DiskSpaceError, EvaluationError, MissingPackageError
@@ -35,8 +35,7 @@ _MORE_BYTES = 25
 """On the disk, a point of the cleaned map at most: its distance, or the mean of its voxel."""
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
+class Figures(NamedTuple):
     """All figures; `scores` is None where there is no original map."""
 
     geometry: Geometry

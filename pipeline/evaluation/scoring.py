@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,12 +234,9 @@ def _labelled_means(
     cloud: TiledCloud, voxel: float, stage: str, observer: Observer
 ) -> Iterator[tuple[int, NDArray[np.float64], Labels]]:
     """Yield tile by tile the means of the voxels, each with the label of the nearest point."""
-    observer.stage(stage, len(cloud))
-    for tile, count in enumerate(cloud.counts.tolist()):
-        if count:
-            means = voxel_means(cloud.xyz(tile), voxel)
-            yield tile, means, find_nearest(means, cloud).labels
-            observer.advance(count)
+    for tile in cloud.watched_tiles(stage, observer):
+        means = voxel_means(cloud.xyz(tile), voxel)
+        yield tile, means, find_nearest(means, cloud).labels
 
 
 _LEAST_OF_TRUTH = 0.5
@@ -250,8 +246,7 @@ _LEAST_OF_CLEANED = 0.99
 """Share of the cleaned map below which a warning is due: all of it should be in the original."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scores:
+class Scores(NamedTuple):
     """The figures that count points and voxels."""
 
     confusion: Confusion

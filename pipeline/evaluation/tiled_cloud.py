@@ -89,6 +89,14 @@ class TiledCloud:
         """Yield the tiles that have points."""
         yield from np.flatnonzero(self.counts).tolist()
 
+    def watched_tiles(self, stage: str, observer: Observer) -> Iterator[int]:
+        """Yield the tiles that have points, and tell of the progress."""
+        counts = self.counts
+        observer.stage(stage, int(counts.sum()))
+        for tile in np.flatnonzero(counts).tolist():
+            yield tile
+            observer.advance(int(counts[tile]))
+
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and the highest coordinates of all tiles that have points, (3,)."""
         some = self.counts > 0
@@ -306,8 +314,5 @@ def look_up(
     cloud: TiledCloud, other: TiledCloud, observer: Observer, stage: str, at_most: float = np.inf
 ) -> Iterator[tuple[int, Nearest]]:
     """Look up every point of a cloud in another; yield what is nearest to each tile's points."""
-    observer.stage(stage, len(cloud))
-    for tile, count in enumerate(cloud.counts.tolist()):
-        if count:
-            yield tile, find_nearest(cloud.xyz(tile), other, at_most)
-            observer.advance(count)
+    for tile in cloud.watched_tiles(stage, observer):
+        yield tile, find_nearest(cloud.xyz(tile), other, at_most)

@@ -80,12 +80,11 @@ class MapFolder:
         """Return the folders of all runs, the oldest first."""
         if not self.path.is_dir() or self.path.is_symlink():
             return []
-        found = [
+        return sorted(
             each
             for each in self.path.iterdir()
             if _RUN_NAME.fullmatch(each.name) and each.is_dir() and not each.is_symlink()
-        ]
-        return sorted(found, key=lambda run: run.name)
+        )
 
     def finished(self) -> list[Path]:
         """Return the folders of the runs that are whole, the oldest first."""
@@ -93,14 +92,13 @@ class MapFolder:
 
     def of_key(self, key: str) -> Path | None:
         """Return the folder of a run with this key: one that is whole, or else the last."""
-        found = [run for run in self.runs() if run.name.endswith(f"-{key}")]
-        found.sort(key=lambda run: (is_finished(run), run.name))
-        return found[-1] if found else None
+        found = (run for run in self.runs() if run.name.endswith(f"-{key}"))
+        return max(found, key=lambda run: (is_finished(run), run.name), default=None)
 
     def result(self, key: str) -> Path | None:
         """Return the folder of a whole run with this key."""
         run = self.of_key(key)
-        return run if run is not None and is_finished(run) else None
+        return run if run and is_finished(run) else None
 
     def new(self, key: str, now: float) -> Path:
         """Return a folder for a run that begins now; it is not made."""
@@ -197,7 +195,7 @@ def report_page(run: Path) -> Path:
 
 def remove_old_runs(
     folder: MapFolder, keep: Retention, now: float, wanted: str | None, *, work_may_go_on: bool
-) -> list[Path]:
+) -> None:
     """Remove runs of a map that are neither among the last nor young, the last good one never.
 
     Parameters
@@ -207,22 +205,13 @@ def remove_old_runs(
     work_may_go_on : bool
         Whether unfinished work of another key stays for `keep.days` as well: the map is gone,
         perhaps because its disk is, and may come back.
-
-    Returns
-    -------
-    list of Path
-        What is gone.
     """
-    latest = folder.latest()
-    finished = folder.finished()
-    last = set(finished[-keep.runs :])
-    removed = []
+    stay = {folder.latest(), *folder.finished()[-keep.runs :]}
     for run in folder.runs():
         is_young = keep.days is not None and now - begun(run) <= keep.days * _DAY
-        if run == latest or run in last or (wanted is not None and run.name.endswith(wanted)):
+        if run in stay or (wanted is not None and run.name.endswith(wanted)):
             continue
         if is_young and (is_finished(run) or work_may_go_on):
             continue
         if folder.remove(run):
-            removed.append(run)
-    return removed
+            logger.info("removed %s", run)
