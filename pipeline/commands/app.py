@@ -14,10 +14,10 @@ from typing import Annotated, Any, NoReturn, TextIO
 import typer
 
 from pipeline.commands.evaluate import evaluate_command
-from pipeline.commands.nightly import nightly_command
 from pipeline.commands.run import (
     apply_command,
     cancel_command,
+    nightly_command,
     preview_command,
     run_command,
     submit_command,
