@@ -111,7 +111,7 @@ def evaluate_command(
     """Measure how clean a map is, against a map or labels of what is static."""
     from rich.console import Console  # noqa: PLC0415
 
-    from pipeline.evaluation.options import EvaluationOptions  # noqa: PLC0415
+    from pipeline.evaluation.inputs import EvaluationOptions  # noqa: PLC0415
     from pipeline.evaluation.report import evaluate_files  # noqa: PLC0415
     from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
     from pipeline.showing import printable  # noqa: PLC0415

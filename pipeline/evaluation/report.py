@@ -12,11 +12,9 @@ from pydantic import BaseModel, SkipValidation
 from rich.table import Table
 
 from pipeline.errors import ConfigurationError
-from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics
-from pipeline.evaluation.earth_mover import EarthMoversDistance
+from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics, EarthMoversDistance
 from pipeline.evaluation.evaluate import Figures, evaluate
-from pipeline.evaluation.inputs import EvaluationInputs, find_inputs
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions, find_inputs
 from pipeline.evaluation.scoring import Confusion, DynamicMapAccuracy, Preservation
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from dynahull.progress import Observer
+from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.labels import Labels, Truth
-from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.tiled_cloud import (
     TiledCloud,
     distance_apart,
@@ -80,13 +80,13 @@ class Confusion(BaseModel, frozen=True):
 
     def summary(self) -> str:
         """Return the two shares that say most, in words."""
-        shares = [
+        precision, recall = (
             "undefined" if value is None else f"{value:.1f} %"
             for value in (self.precision, self.recall)
-        ]
+        )
         return (
-            f"precision {shares[0]} (of what was removed, what had moved), "
-            f"recall {shares[1]} (of what had moved, what was removed)"
+            f"precision {precision} (of what was removed, what had moved), "
+            f"recall {recall} (of what had moved, what was removed)"
         )
 
     @classmethod
@@ -188,17 +188,8 @@ class Preservation(BaseModel, frozen=True):
 def voxel_means(points: NDArray[np.float64], voxel: float) -> NDArray[np.float64]:
     """Return the mean of the points in each voxel, as PCL's `VoxelGrid` does.
 
-    The voxels' corners are whole multiples of their edge, in metres.
-
-    Parameters
-    ----------
-    points : (n, 3) float64 array
-        All points of each of their voxels.
-
-    Returns
-    -------
-    (m, 3) float64 array
-        In the order of the voxels; the order of the points does not change a bit.
+    The voxels' corners are whole multiples of their edge, in metres. Of (n, 3) points, all of each
+    of their voxels, they are (m, 3), by voxel; the order of the points does not change a bit.
     """
     if not len(points):
         return points

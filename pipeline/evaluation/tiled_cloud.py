@@ -50,11 +50,6 @@ _COLUMNS: dict[str, Any] = {
 class TiledCloud:
     """The finite points of a map, or those of some labels: a file for each column of a tile.
 
-    Parameters
-    ----------
-    name : str
-        What to call it in messages.
-
     Attributes
     ----------
     low, high : (T, 3) float64 arrays
@@ -191,15 +186,7 @@ class CloudSource:
 def cut_clouds(
     sources: dict[str, CloudSource], voxel: float, folder: Path, observer: Observer
 ) -> dict[str, TiledCloud]:
-    """Cut maps into the same tiles, of whole voxels, into files in a folder.
-
-    Raises
-    ------
-    EvaluationError
-        When a map has not a single finite point.
-    MapFormatError
-        When a file is not what its header announced.
-    """
+    """Cut maps, which have a finite point each, into the same tiles, of whole voxels."""
     total = sum(source.collection.point_count for source in sources.values())
     observer.stage("survey", total)
     surveys = (survey_batches(_middles(each, voxel, observer)) for each in sources.values())

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 from pipeline.configuration.run import Configuration
 from pipeline.nightly.journal import Fingerprint, MapRecord
@@ -59,14 +60,11 @@ class FoundMap:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """An input that could not be looked at."""
+class Problem(NamedTuple):
+    """What should be there and could not be looked at, and why, in one line."""
 
     root: Path
-    """What should be there."""
     message: str
-    """In one line."""
 
 
 def find_maps(
@@ -86,9 +84,8 @@ def find_maps(
                 problems.append(each)
                 continue
             path, files = each
-            place = path.resolve()
             own = {file.resolve() for file in files}
-            if own <= taken or place == output or output in place.parents:
+            if own <= taken or path.resolve().is_relative_to(output):
                 continue
             if not is_text(path):
                 problems.append(Problem(given.root, f"{path}: its name is not UTF-8"))
@@ -268,10 +265,8 @@ def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapO
 
 def failures(candidate: Candidate) -> int:
     """Count the nights that a map failed as it is, by this version of the product."""
-    failure = candidate.record.failure
-    if failure is None or failure.key != candidate.key:
-        return 0
-    return failure.attempts if failure.version == version("dynahull-pipeline") else 0
+    failure, now = candidate.record.failure, (candidate.key, version("dynahull-pipeline"))
+    return failure.attempts if failure and (failure.key, failure.version) == now else 0
 
 
 def in_turn(candidates: Iterable[Candidate]) -> list[Candidate]:

@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from select import select
 from threading import Thread
@@ -48,10 +49,9 @@ logger = logging.getLogger("dynahull")
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What to clean."""
+    """What to clean: a file, or the folder of a map of several."""
 
     map: Path
-    """A file, or the folder of a map of several."""
     output: Path
     """Folder of the run."""
     configuration: Configuration
@@ -75,10 +75,9 @@ _REQUEST = TypeAdapter(Request)
 
 
 class Cleaner:
-    """Cleans each map in a new process.
+    """Cleans each map in a new process, which ends with the night's own: the pipe to it tells.
 
-    A map that takes all memory, or that a library dies of, ends only that; and when the night's
-    own process is killed, the pipe to the child ends, and the child with it.
+    A map that takes all memory, or that a library dies of, ends only that.
     """
 
     def clean(self, request: Request, is_over: Callable[[], bool]) -> Ended:
@@ -97,7 +96,9 @@ class Cleaner:
             assert process.stdout is not None  # as asked for
             try:
                 answer = _answer(process, process.stdout, is_over)
-                _wait(process)
+                process.wait(_GRACE)
+            except subprocess.TimeoutExpired:
+                process.kill()  # its answer is here
             except BaseException:
                 process.kill()
                 raise
@@ -108,24 +109,15 @@ class Cleaner:
 
 def _answer(process: subprocess.Popen[str], answers: IO[str], is_over: Callable[[], bool]) -> str:
     """Return what the child says, nothing if it ends without a word; stop it in time."""
-    told: float | None = None
+    until = inf
     while not select([answers], [], [], _LOOK_EVERY)[0]:
-        if told is None and is_over():
+        if monotonic() > until:
+            process.kill()
+        elif until == inf and is_over():
             logger.info("the night is over: stopping")
             process.terminate()
-            told = monotonic()
-        elif told is not None and monotonic() - told > _GRACE:
-            process.kill()
+            until = monotonic() + _GRACE
     return answers.readline()
-
-
-def _wait(process: subprocess.Popen[str]) -> None:
-    """Wait until the child has left; its answer is here, so that it may be made to."""
-    try:
-        process.wait(_GRACE)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def _last_words(code: int | None) -> str:

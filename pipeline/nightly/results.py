@@ -47,23 +47,23 @@ def map_name(path: Path) -> str:
     return f"{own}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
 
 
+_UNDECISIVE: Any = {
+    "tiling": True,
+    "execution": True,
+    "cluster": True,
+    "output": {"keep_work", "keep_free", "report"},
+}
+"""Keys on which no result depends."""
+
+
 def result_key(
     content: str, files: Sequence[Path], configuration: Configuration, poses: str = ""
 ) -> str:
     """Return the hash of what decides a result: content, poses, configuration, names of several.
 
-    Not what tiles, workers and the space on the disk are like; nor the version, so that a new one
-    does not mean that all is cleaned again.
+    Not the version, so that a new one does not mean that all is cleaned again.
     """
-    decisive = configuration.model_dump(
-        mode="json",
-        exclude={
-            "tiling": True,
-            "execution": True,
-            "cluster": True,
-            "output": {"keep_work", "keep_free", "report"},
-        },
-    )
+    decisive = configuration.model_dump(mode="json", exclude=_UNDECISIVE)
     names = [path.name for path in files] if len(files) > 1 else []
     text = json.dumps([content, names, decisive, *([poses] if poses else [])], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
@@ -173,8 +173,7 @@ def tasks_done(run: Path) -> int:
 
 def remove_finished_work(run: Path) -> None:
     """Remove the work of a whole run that was killed before it could, unless it is to be kept."""
-    output = run_report(run).get("configuration", {}).get("output", {})
-    if not output.get("keep_work", False):
+    if not run_report(run).get("configuration", {}).get("output", {}).get("keep_work"):
         remove_work(run / WORK_FOLDER)
 
 
