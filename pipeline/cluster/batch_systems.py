@@ -78,6 +78,9 @@ class BatchSystem:
     cancel: tuple[str, ...]
     """Commands that are followed by the script, and by the number of a job."""
     reads_standard_input = False
+    account = "account"
+    """What dask-jobqueue calls who pays."""
+    takes_resources = False
     number = r"(\d+)"
     script_suffix = ".sh"
     waiting: Container[str] = ()
@@ -94,17 +97,18 @@ class BatchSystem:
 
     def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
         """Return how dask-jobqueue is told of a job."""
-        return {
+        described = {
             "job_name": job.name,
             "cores": job.cores,
             "memory": f"{job.memory}B",
             "queue": job.queue,
-            "account": parameters.account,
+            self.account: parameters.account,
             "walltime": clock(job.walltime),
             "job_extra_directives": list(parameters.job_extra_directives),
             "job_script_prologue": list(job.prologue),
             "log_directory": str(job.logs),
         }
+        return described | ({"resource_spec": job.resource_spec} if self.takes_resources else {})
 
     def script(
         self, parameters: ClusterParameters, job: JobDescription, command: Sequence[str]
@@ -141,13 +145,7 @@ class BatchSystem:
                     raise
 
     def states(self, jobs: Sequence[str]) -> Mapping[str, JobState]:
-        """Ask for the states of jobs.
-
-        Raises
-        ------
-        ClusterError
-            When there is no answer, which says nothing of the jobs.
-        """
+        """Ask for the states of jobs; no answer is a `ClusterError`, which says nothing of them."""
         return {job: self._state(self._word(job)) for job in jobs}
 
     def _word(self, job: str) -> str | None:
@@ -227,11 +225,8 @@ class PBS(BatchSystem):
     submit = ("qsub",)
     cancel = ("qdel",)
     number = r"(\d+(?:\[\])?(?:\.\S+)?)"
+    takes_resources = True
     waiting, ended = "QHWT", "CFEX"
-
-    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
-        """Add the resources."""
-        return {**super().keywords(parameters, job), "resource_spec": job.resource_spec}
 
     def _word(self, job: str) -> str | None:
         said = self._called(("qstat", "-f", job), gone=r"Unknown Job|has finished")
@@ -248,14 +243,14 @@ class LSF(BatchSystem):
     cancel = ("bkill",)
     reads_standard_input = True  # a script given by its name is not looked into for options
     number = r"Job <(\d+)>"
+    account = "project"
     waiting, ended = ("PEND", "PSUSP", "WAIT"), ("DONE", "EXIT", "ZOMBI")
 
     def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
-        """Name the account a project, and leave out the seconds."""
-        described = super().keywords(parameters, job)
-        minutes, project = -(-job.walltime // 60), described.pop("account")
+        """Leave out the seconds."""
+        minutes = -(-job.walltime // 60)
         walltime = f"{minutes // 60:02d}:{minutes % 60:02d}"
-        return {**described, "walltime": walltime, "project": project}
+        return {**super().keywords(parameters, job), "walltime": walltime}
 
     def _word(self, job: str) -> str | None:
         said = self._called(("bjobs", "-noheader", "-o", "stat", job), gone=r"is not found")
@@ -270,13 +265,8 @@ class SGE(BatchSystem):
     submit = ("qsub",)
     cancel = ("qdel",)
     number = r"Your job (\d+)"
+    account, takes_resources = "project", True
     waiting = ("qw", "hqw", "hRwq", "Rq", "Eqw")
-
-    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
-        """Name the account a project, and add the resources."""
-        described = super().keywords(parameters, job)
-        project = described.pop("account")
-        return {**described, "project": project, "resource_spec": job.resource_spec}
 
     def _word(self, job: str) -> str | None:
         rows = [line.split() for line in self._called(("qstat", "-u", "*")).splitlines()]
@@ -342,13 +332,7 @@ def batch_system(name: str) -> BatchSystem:
 
 
 def cluster_class(system: BatchSystem) -> Any:
-    """Return dask-jobqueue's class of a batch system.
-
-    Raises
-    ------
-    MissingPackageError
-        When the optional package is not installed.
-    """
+    """Return dask-jobqueue's class of a batch system, or raise a `MissingPackageError`."""
     try:
         import dask_jobqueue  # noqa: PLC0415 (an extra)
     except ImportError:

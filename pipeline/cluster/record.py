@@ -31,13 +31,7 @@ class RecordedJobs:
     """Their numbers."""
 
     def states(self) -> dict[str, JobState]:
-        """Ask the batch system for their states.
-
-        Raises
-        ------
-        ClusterError
-            When there is no answer.
-        """
+        """Ask the batch system for their states; no answer is a `ClusterError`."""
         return dict(self.batch_system.states(self.jobs)) if self.jobs else {}
 
     @property

@@ -32,13 +32,7 @@ _PATIENCE = 60.0
 def run_script(
     maps: Sequence[str], output: Path | None, configuration: Configuration, *, fresh: bool = False
 ) -> str:
-    """Return the script of the job, and leave nothing behind.
-
-    Raises
-    ------
-    TilingError, PipelineError
-        Where it would be refused.
-    """
+    """Return the script of the job, or raise what would refuse it, and leave nothing behind."""
     system = _system(configuration)
     folder = _output(maps, output)
     logs = logs_folder(folder).resolve()
@@ -62,8 +56,6 @@ def submit_run(
         Files, folders or globs that together are one map.
     output : Path or None
         Output folder; `<map>_dynahull` in the current folder by default.
-    configuration : Configuration
-        Its `execution.cluster` names the batch system.
     fresh : bool
         Start over, whatever an earlier run of this map left in the output folder.
 

@@ -62,13 +62,7 @@ class Supervisor:
         self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
 
     def begin(self) -> None:
-        """Submit the jobs, and wait until the first worker is there.
-
-        Raises
-        ------
-        ClusterError
-            When no job can be submitted, or none comes to its worker.
-        """
+        """Submit the jobs, and wait for the first worker; raise a `ClusterError` if none comes."""
         self._fill_up()
         self._thread.start()
         while self._nobody:

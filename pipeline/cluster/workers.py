@@ -191,10 +191,7 @@ def running_scheduler(
 ) -> Iterator[Executor]:
     """Use the workers of a scheduler that is running, such as `tcp://10.0.0.1:8786`.
 
-    Raises
-    ------
-    ClusterError
-        When one of its workers does not share what it must.
+    One of them that does not share what it must is a `ClusterError`.
     """
     address = str(configuration.execution.scheduler)
     security = scheduler_security(configuration.cluster.tls, address)
@@ -248,11 +245,6 @@ def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security |
     """Return the keys of a cluster that this run starts, None without TLS.
 
     If none are given they are made, where `keys` says, for jobs to find them.
-
-    Raises
-    ------
-    ConfigurationError
-        When a file is not there.
     """
     if tls.ca_file is not None:
         return _of_files(tls)
@@ -268,13 +260,7 @@ def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security |
 
 
 def scheduler_security(tls: TLSParameters, address: str) -> Security | None:
-    """Return the keys of a scheduler that is running, None without TLS.
-
-    Raises
-    ------
-    ConfigurationError
-        When files are wanted and not given, or not there.
-    """
+    """Return the keys of a scheduler that is running, None without TLS."""
     if tls.ca_file is not None:
         return _of_files(tls)
     if tls.enabled or address.startswith("tls://"):
@@ -286,6 +272,7 @@ def scheduler_security(tls: TLSParameters, address: str) -> Security | None:
 
 
 def _of_files(tls: TLSParameters) -> Security:
+    """Return keys that are given, or raise a `ConfigurationError` if one is not there."""
     files = {}
     for name in ("ca_file", "certificate", "key"):
         path = in_home(getattr(tls, name)).resolve()

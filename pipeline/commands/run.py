@@ -224,13 +224,12 @@ def _chosen_window(
         raise ConfigurationError("--size: expected --centre with it, found none")
     if thin:
         return WHOLE
-    if window is not None:
-        chosen = Window(window[:2], window[2:])
-    elif centre is not None:
+    if centre is not None:
         (x, y), half = centre, (_WINDOW_SIDE if size is None else size) / 2
-        chosen = Window((x - half, y - half), (x + half, y + half))
-    else:
+        window = x - half, y - half, x + half, y + half
+    if window is None:
         return None
+    chosen = Window(window[:2], window[2:])
     if not (chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]):
         raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
     return chosen

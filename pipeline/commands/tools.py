@@ -13,13 +13,7 @@ from tiling.foreign_text import printable_path
 
 
 def manual_page(context: Any) -> str:
-    """Return the page of all commands, as roff for `man`.
-
-    Parameters
-    ----------
-    context : typer.Context
-        Of the group of commands.
-    """
+    """Return the page of all commands, as roff for `man`, by the context of their group."""
     group, name = context.command, "dynahull-pipeline"
     lines = [
         f'.TH {name.upper()} 1 "" "{name} {version(name)}" "User commands"',

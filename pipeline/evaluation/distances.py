@@ -209,14 +209,7 @@ def _transport(
 
 
 def check_transport(points: int, cleaned: int, truth: int) -> None:
-    """Refuse samples of so many points, of maps of so many, that memory does not suffice for.
-
-    Raises
-    ------
-    MissingPackageError
-        When POT is not installed.
-    PlanError
-    """
+    """Refuse samples of so many points, of maps of so many, that memory does not suffice for."""
     transport_library()
     of_cleaned, of_truth = min(points, cleaned), min(points, truth)
     wanted, free = _BYTES_A_PAIR * max(of_cleaned, of_truth) * of_truth, available_memory()

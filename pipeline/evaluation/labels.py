@@ -64,13 +64,7 @@ class RowReader:
         self._name = name
 
     def take(self, count: int) -> NDArray[Any]:
-        """Return the values of the next rows, (count,).
-
-        Raises
-        ------
-        EvaluationError
-            When there are no more.
-        """
+        """Return the values of the next rows, (count,), or raise an `EvaluationError`."""
         while len(self._left) < count:
             array = next(self._arrays, None)
             if array is None:

@@ -89,13 +89,7 @@ def systemd_service(source: Path, given: Sequence[str] = ()) -> str:
 
 
 def install_text(settings: NightlySettings, source: Path, given: Sequence[str] = ()) -> str:
-    """Return all that `--schedule` prints of a YAML file and settings; nothing is installed by it.
-
-    Raises
-    ------
-    ConfigurationError
-        When a path or a setting holds what a line cannot.
-    """
+    """Return all that `--schedule` prints of a YAML file; nothing is installed by it."""
     for word in (str(source.absolute()), str(settings.output), sys.executable, *given):
         if not word.isprintable():
             raise ConfigurationError(f"{word!r}: expected printable characters in one line")

@@ -46,13 +46,7 @@ class FoundMap:
     """What the poses of its files are read from, where they are scans."""
 
     def states(self) -> Fingerprint:
-        """Return the states of all files that it is read from.
-
-        Raises
-        ------
-        OSError
-            When one is gone.
-        """
+        """Return the states of all files it is read from; one that is gone is an `OSError`."""
         every = ((path.name, path.stat()) for path in (*self.files, *self.poses))
         return tuple(
             (name, state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
@@ -228,15 +222,8 @@ def learn_content(
 ) -> bool:
     """Hash a map and remember its content; return whether it did not change meanwhile.
 
-    Parameters
-    ----------
-    advance : callable
-        Told of the bytes hashed; what it raises ends the hashing.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read, or is gone.
+    A file that cannot be read, or is gone, is an `OSError`. `advance` is told of the bytes hashed;
+    what it raises ends the hashing.
     """
     found, record = candidate.found, candidate.record
     begun, before = now(), found.states()

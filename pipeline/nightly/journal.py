@@ -65,11 +65,7 @@ class _Stored(BaseModel, extra="forbid"):
 class Journal:
     """`maps`: the records of all maps ever seen, by absolute path, to be changed and saved.
 
-    Raises
-    ------
-    NightlyError
-        When there is a journal that cannot be read. Without one, finished results are found all
-        the same.
+    A journal that cannot be read is a `NightlyError`; without one, results are found all the same.
     """
 
     def __init__(self, folder: Path) -> None:
