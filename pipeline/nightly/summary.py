@@ -154,7 +154,7 @@ def write_index(folder: Path, summary: NightSummary) -> None:
 
 def refuse_to_replace(output: Path) -> None:
     """Refuse an output folder with files that nights replace and that none of them wrote."""
-    for name, mark in ((INDEX_FILE, f"<title>{_INDEX_TITLE}"), (SUMMARY_FILE, '"exit_code": ')):
+    for name, mark in ((INDEX_FILE, f"<title>{_INDEX_TITLE}"), (SUMMARY_FILE, '\n  "night": "20')):
         path = output / name
         if os.path.lexists(path) and not _holds(path, mark):
             raise NightlyError(f"{path}: there is a file that no night wrote; use another output")
