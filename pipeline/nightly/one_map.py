@@ -13,7 +13,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from math import inf
 from pathlib import Path
 from select import select
 from threading import Thread
@@ -49,9 +48,10 @@ logger = logging.getLogger("dynahull")
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What to clean: a file, or the folder of a map of several."""
+    """What to clean."""
 
     map: Path
+    """A file, or the folder of a map of several."""
     output: Path
     """Folder of the run."""
     configuration: Configuration
@@ -75,9 +75,10 @@ _REQUEST = TypeAdapter(Request)
 
 
 class Cleaner:
-    """Cleans each map in a new process, which ends with the night's own: the pipe to it tells.
+    """Cleans each map in a new process.
 
-    A map that takes all memory, or that a library dies of, ends only that.
+    A map that takes all memory, or that a library dies of, ends only that; and when the night's
+    own process is killed, the pipe to the child ends, and the child with it.
     """
 
     def clean(self, request: Request, is_over: Callable[[], bool]) -> Ended:
@@ -96,9 +97,7 @@ class Cleaner:
             assert process.stdout is not None  # as asked for
             try:
                 answer = _answer(process, process.stdout, is_over)
-                process.wait(_GRACE)
-            except subprocess.TimeoutExpired:
-                process.kill()  # its answer is here
+                _wait(process)
             except BaseException:
                 process.kill()
                 raise
@@ -109,15 +108,24 @@ class Cleaner:
 
 def _answer(process: subprocess.Popen[str], answers: IO[str], is_over: Callable[[], bool]) -> str:
     """Return what the child says, nothing if it ends without a word; stop it in time."""
-    until = inf
+    told: float | None = None
     while not select([answers], [], [], _LOOK_EVERY)[0]:
-        if monotonic() > until:
-            process.kill()
-        elif until == inf and is_over():
+        if told is None and is_over():
             logger.info("the night is over: stopping")
             process.terminate()
-            until = monotonic() + _GRACE
+            told = monotonic()
+        elif told is not None and monotonic() - told > _GRACE:
+            process.kill()
     return answers.readline()
+
+
+def _wait(process: subprocess.Popen[str]) -> None:
+    """Wait until the child has left; its answer is here, so that it may be made to."""
+    try:
+        process.wait(_GRACE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _last_words(code: int | None) -> str:
