@@ -15,8 +15,8 @@ from benchmarks.compare.record import Record
 from benchmarks.compare.results import Result
 from benchmarks.compare.scene import Scene
 from pipeline.errors import EvaluationError
+from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.labels import Truth
-from pipeline.evaluation.options import EvaluationOptions
 
 __all__ = ["Comparison"]
 

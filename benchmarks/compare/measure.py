@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from benchmarks.compare.scene import Scene
 from dynahull.progress import SilentObserver
 from pipeline.evaluation.evaluate import Figures, evaluate
-from pipeline.evaluation.inputs import EvaluationInputs
+from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions
 from pipeline.evaluation.labels import RowValues, Truth
-from pipeline.evaluation.options import EvaluationOptions
 from tiling.collection import MapCollection
 
 __all__ = ["evaluation_options", "measure"]

@@ -9,7 +9,8 @@ import re
 import shlex
 import shutil
 import subprocess
-from collections.abc import Container, Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -47,8 +48,10 @@ class JobState:
         return self.phase is not Phase.ENDED
 
 
-_UNKNOWN_TO_IT = JobState("ended", Phase.ENDED)
-"""Of a job that the batch system has forgotten."""
+def count_words(states: Iterable[JobState]) -> str:
+    """Say how many jobs are in which state, by the batch system's words."""
+    words = Counter(state.word for state in states)
+    return ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +78,14 @@ class BatchSystem:
     cancel: tuple[str, ...]
     """Commands that are followed by the script, and by the number of a job."""
     reads_standard_input = False
+    account = "account"
+    """What dask-jobqueue calls who pays."""
+    takes_resources = False
     number = r"(\d+)"
     script_suffix = ".sh"
+    waiting: Container[str] = ()
+    ended: Container[str] = ()
+    """Its words for jobs that wait, and that have ended; all others run."""
 
     def require(self) -> None:
         """Raise a `ClusterError` where its commands are not there."""
@@ -88,17 +97,18 @@ class BatchSystem:
 
     def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
         """Return how dask-jobqueue is told of a job."""
-        return {
+        described = {
             "job_name": job.name,
             "cores": job.cores,
             "memory": f"{job.memory}B",
             "queue": job.queue,
-            "account": parameters.account,
+            self.account: parameters.account,
             "walltime": clock(job.walltime),
             "job_extra_directives": list(parameters.job_extra_directives),
             "job_script_prologue": list(job.prologue),
             "log_directory": str(job.logs),
         }
+        return described | ({"resource_spec": job.resource_spec} if self.takes_resources else {})
 
     def script(
         self, parameters: ClusterParameters, job: JobDescription, command: Sequence[str]
@@ -120,12 +130,10 @@ class BatchSystem:
                 said = self._called(self.submit, stdin=stream)
         else:
             said = self._called((*self.submit, str(script)))
-        found = re.search(self.number, said)
-        if found is None:
-            raise ClusterError(
-                f"{self.submit[0]}: expected the number of a job, found {_one_line(said)!r}"
-            )
-        return found[1]
+        if found := re.search(self.number, said):
+            return found[1]
+        said = " ".join(said.split())
+        raise ClusterError(f"{self.submit[0]}: expected the number of a job, found {said!r}")
 
     def cancel_jobs(self, jobs: Sequence[str]) -> None:
         """Cancel jobs; those that have ended meanwhile do not matter."""
@@ -137,17 +145,19 @@ class BatchSystem:
                     raise
 
     def states(self, jobs: Sequence[str]) -> Mapping[str, JobState]:
-        """Ask for the states of jobs.
+        """Ask for the states of jobs; no answer is a `ClusterError`, which says nothing of them."""
+        return {job: self._state(self._word(job)) for job in jobs}
 
-        Raises
-        ------
-        ClusterError
-            When there is no answer, which says nothing of the jobs.
-        """
-        return {job: self._state(job) for job in jobs}
-
-    def _state(self, job: str) -> JobState:
+    def _word(self, job: str) -> str | None:
+        """Ask for the state of a job, None where it is not known any more."""
         raise NotImplementedError
+
+    def _state(self, word: str | None) -> JobState:
+        if word is None:
+            return JobState("ended", Phase.ENDED)
+        if word in self.waiting:
+            return JobState(word, Phase.WAITING)
+        return JobState(word, Phase.ENDED if word in self.ended else Phase.RUNNING)
 
     def _called(
         self, command: Sequence[str], gone: str | None = None, stdin: IO[str] | None = None
@@ -165,7 +175,7 @@ class BatchSystem:
             return done.stdout
         if gone is not None and re.search(gone, done.stdout + done.stderr):
             return ""
-        said = _one_line(done.stderr or done.stdout) or f"exit code {done.returncode}"
+        said = (done.stderr or done.stdout).strip() or f"exit code {done.returncode}"
         raise ClusterError(f"{command[0]}: {said}")
 
 
@@ -215,16 +225,13 @@ class PBS(BatchSystem):
     submit = ("qsub",)
     cancel = ("qdel",)
     number = r"(\d+(?:\[\])?(?:\.\S+)?)"
+    takes_resources = True
+    waiting, ended = "QHWT", "CFEX"
 
-    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
-        """Add the resources."""
-        described = super().keywords(parameters, job)
-        return {**described, "resource_spec": job.resource_spec}
-
-    def _state(self, job: str) -> JobState:
+    def _word(self, job: str) -> str | None:
         said = self._called(("qstat", "-f", job), gone=r"Unknown Job|has finished")
         found = re.search(r"job_state = (\w)", said)
-        return _state_of(found[1] if found else None, waiting="QHWT", ended="CFEX")
+        return found[1] if found else None
 
 
 class LSF(BatchSystem):
@@ -236,19 +243,18 @@ class LSF(BatchSystem):
     cancel = ("bkill",)
     reads_standard_input = True  # a script given by its name is not looked into for options
     number = r"Job <(\d+)>"
+    account = "project"
+    waiting, ended = ("PEND", "PSUSP", "WAIT"), ("DONE", "EXIT", "ZOMBI")
 
     def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
-        """Name the account a project, and leave out the seconds."""
-        described = super().keywords(parameters, job)
+        """Leave out the seconds."""
         minutes = -(-job.walltime // 60)
-        described["walltime"] = f"{minutes // 60:02d}:{minutes % 60:02d}"
-        described["project"] = described.pop("account")
-        return described
+        walltime = f"{minutes // 60:02d}:{minutes % 60:02d}"
+        return {**super().keywords(parameters, job), "walltime": walltime}
 
-    def _state(self, job: str) -> JobState:
+    def _word(self, job: str) -> str | None:
         said = self._called(("bjobs", "-noheader", "-o", "stat", job), gone=r"is not found")
-        ended = ("DONE", "EXIT", "ZOMBI")
-        return _state_of(said.strip() or None, waiting=("PEND", "PSUSP", "WAIT"), ended=ended)
+        return said.strip() or None
 
 
 class SGE(BatchSystem):
@@ -259,18 +265,12 @@ class SGE(BatchSystem):
     submit = ("qsub",)
     cancel = ("qdel",)
     number = r"Your job (\d+)"
+    account, takes_resources = "project", True
+    waiting = ("qw", "hqw", "hRwq", "Rq", "Eqw")
 
-    def keywords(self, parameters: ClusterParameters, job: JobDescription) -> dict[str, Any]:
-        """Name the account a project, and add the resources."""
-        described = super().keywords(parameters, job)
-        described["resource_spec"] = job.resource_spec
-        described["project"] = described.pop("account")
-        return described
-
-    def _state(self, job: str) -> JobState:
+    def _word(self, job: str) -> str | None:
         rows = [line.split() for line in self._called(("qstat", "-u", "*")).splitlines()]
-        word = next((row[4] for row in rows if len(row) > 4 and row[0] == job), None)
-        return _state_of(word, waiting=("qw", "hqw", "hRwq", "Rq", "Eqw"), ended=())
+        return next((row[4] for row in rows if len(row) > 4 and row[0] == job), None)
 
 
 class HTCondor(BatchSystem):
@@ -282,6 +282,7 @@ class HTCondor(BatchSystem):
     cancel = ("condor_rm",)
     number = r"submitted to cluster (\d+)"
     script_suffix = ".sub"
+    waiting, ended = ("IDLE", "HELD"), ("REMOVED", "COMPLETED")
 
     _WORDS: ClassVar[Mapping[str, str]] = {
         "1": "IDLE", "2": "RUNNING", "3": "REMOVED", "4": "COMPLETED", "5": "HELD",
@@ -301,10 +302,8 @@ class HTCondor(BatchSystem):
         for line in parameters.job_extra_directives:
             name, equals, value = line.partition("=")
             if not equals:
-                raise ClusterError(
-                    f"cluster.job_extra_directives: expected `name = value` for HTCondor, found "
-                    f"{line!r}"
-                )
+                expected = "cluster.job_extra_directives: expected `name = value` for HTCondor"
+                raise ClusterError(f"{expected}, found {line!r}")
             attributes[name.strip()] = value.strip()
         described["job_extra_directives"] = attributes
         return {**described, "disk": f"{parameters.disk}B"}
@@ -317,23 +316,14 @@ class HTCondor(BatchSystem):
 
         described = self._described(parameters, job)
         shell = "; ".join([*job.prologue, f"exec {shlex.join(command)}"])
-        return "\n".join(
-            [
-                described.shebang,
-                "",
-                *(f"{name} = {value}" for name, value in described.job_header_dict.items()),
-                f'Arguments = "{htcondor.quote_arguments(["-c", shell])}"',
-                f"Executable = {described.executable}",
-                "",
-                "Queue",
-                "",
-            ]
-        )
+        lines = [f"{name} = {value}" for name, value in described.job_header_dict.items()]
+        lines += [f'Arguments = "{htcondor.quote_arguments(["-c", shell])}"']
+        lines += [f"Executable = {described.executable}"]
+        return "\n".join([described.shebang, "", *lines, "", "Queue", ""])
 
-    def _state(self, job: str) -> JobState:
+    def _word(self, job: str) -> str | None:
         said = self._called(("condor_q", job, "-autoformat", "JobStatus")).split()
-        word = self._WORDS.get(said[0], said[0]) if said else None
-        return _state_of(word, waiting=("IDLE", "HELD"), ended=("REMOVED", "COMPLETED"))
+        return self._WORDS.get(said[0], said[0]) if said else None
 
 
 def batch_system(name: str) -> BatchSystem:
@@ -342,13 +332,7 @@ def batch_system(name: str) -> BatchSystem:
 
 
 def cluster_class(system: BatchSystem) -> Any:
-    """Return dask-jobqueue's class of a batch system.
-
-    Raises
-    ------
-    MissingPackageError
-        When the optional package is not installed.
-    """
+    """Return dask-jobqueue's class of a batch system, or raise a `MissingPackageError`."""
     try:
         import dask_jobqueue  # noqa: PLC0415 (an extra)
     except ImportError:
@@ -358,16 +342,3 @@ def cluster_class(system: BatchSystem) -> Any:
         ) from None
     logging.getLogger("dask_jobqueue").setLevel(logging.WARNING)  # it tells of its defaults
     return getattr(dask_jobqueue, system.cluster_class)
-
-
-def _state_of(word: str | None, waiting: Container[str], ended: Container[str]) -> JobState:
-    """Return what a word means, None being that of a job that is not known any more."""
-    if word is None:
-        return _UNKNOWN_TO_IT
-    if word in waiting:
-        return JobState(word, Phase.WAITING)
-    return JobState(word, Phase.ENDED if word in ended else Phase.RUNNING)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

@@ -5,13 +5,12 @@ So that `status` and `cancel` find the jobs by the folder, from any machine that
 
 import json
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.cluster.batch_systems import BatchSystem, JobState, batch_system
+from pipeline.cluster.batch_systems import BatchSystem, JobState, batch_system, count_words
 from pipeline.errors import ClusterError
 from tiling.atomic import atomic_file
 
@@ -32,13 +31,7 @@ class RecordedJobs:
     """Their numbers."""
 
     def states(self) -> dict[str, JobState]:
-        """Ask the batch system for their states.
-
-        Raises
-        ------
-        ClusterError
-            When there is no answer.
-        """
+        """Ask the batch system for their states; no answer is a `ClusterError`."""
         return dict(self.batch_system.states(self.jobs)) if self.jobs else {}
 
     @property
@@ -102,12 +95,10 @@ def state_lines(output: Path) -> list[str]:
 
 def _words(recorded: RecordedJobs) -> str:
     try:
-        words = Counter(state.word for state in recorded.states().values())
+        states = list(recorded.states().values())
     except ClusterError as error:
         return f"unknown ({error})"
-    if len(recorded.jobs) == 1:
-        return next(iter(words))
-    return ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+    return states[0].word if len(states) == 1 else count_words(states)
 
 
 def _write(path: Path, system: str, jobs: Sequence[str]) -> None:

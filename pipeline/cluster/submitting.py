@@ -16,7 +16,7 @@ from pipeline.cluster.record import (
     submitted_job,
     worker_jobs,
 )
-from pipeline.configuration.cluster import BATCH_SYSTEMS, ClusterParameters
+from pipeline.configuration.cluster import BATCH_SYSTEMS
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError, OutputError, WorkError
 from pipeline.outputs.folder import default_folder
@@ -32,13 +32,7 @@ _PATIENCE = 60.0
 def run_script(
     maps: Sequence[str], output: Path | None, configuration: Configuration, *, fresh: bool = False
 ) -> str:
-    """Return the script of the job, and leave nothing behind.
-
-    Raises
-    ------
-    TilingError, PipelineError
-        Where it would be refused.
-    """
+    """Return the script of the job, or raise what would refuse it, and leave nothing behind."""
     system = _system(configuration)
     folder = _output(maps, output)
     logs = logs_folder(folder).resolve()
@@ -62,8 +56,6 @@ def submit_run(
         Files, folders or globs that together are one map.
     output : Path or None
         Output folder; `<map>_dynahull` in the current folder by default.
-    configuration : Configuration
-        Its `execution.cluster` names the batch system.
     fresh : bool
         Start over, whatever an earlier run of this map left in the output folder.
 
@@ -83,14 +75,11 @@ def submit_run(
     _refuse_another(folder)
     system.require()
     script = _script(system, maps, folder, configuration, fresh)
-    place = cluster_folder(folder)
     refuse_own_folders(folder, find_map_files(maps))
     logs_folder(folder).mkdir(parents=True, exist_ok=True)
-    path = place / f"run{system.script_suffix}"
-    for name, text in (
-        (place / CONFIGURATION_FILE, _of_the_run(configuration).to_yaml()),
-        (path, script),
-    ):
+    path = cluster_folder(folder) / f"run{system.script_suffix}"
+    settings = _of_the_run(configuration).to_yaml()
+    for name, text in ((path.with_name(CONFIGURATION_FILE), settings), (path, script)):
         with atomic_file(name) as temporary:
             temporary.write_text(text, encoding="utf-8", errors="surrogateescape")
     job = system.submit_script(path.resolve())
@@ -137,21 +126,8 @@ def _script(
     fresh: bool,
 ) -> str:
     find_map_files(maps)  # complains where there are none
-    parameters = configuration.cluster
-    command = [
-        parameters.python or sys.executable,
-        *("-P", "-m", "pipeline", "run"),
-        *(str(Path(each).absolute()) for each in maps),
-        *("-o", str(folder.resolve())),
-        *("-c", str(cluster_folder(folder).resolve() / CONFIGURATION_FILE)),
-        *(["--fresh"] if fresh else []),
-    ]
-    return system.script(parameters, _run_job(parameters, folder), command)
-
-
-def _run_job(parameters: ClusterParameters, folder: Path) -> JobDescription:
-    run = parameters.run
-    return JobDescription(
+    parameters, run = configuration.cluster, configuration.cluster.run
+    job = JobDescription(
         name=parameters.job_name,
         cores=run.cores,
         memory=run.memory,
@@ -161,20 +137,27 @@ def _run_job(parameters: ClusterParameters, folder: Path) -> JobDescription:
         logs=logs_folder(folder).resolve(),
         prologue=parameters.prologue,
     )
+    command = [
+        parameters.python or sys.executable,
+        *("-P", "-m", "pipeline", "run"),
+        *(str(Path(each).absolute()) for each in maps),
+        *("-o", str(folder.resolve())),
+        *("-c", str(cluster_folder(folder).resolve() / CONFIGURATION_FILE)),
+        *(["--fresh"] if fresh else []),
+    ]
+    return system.script(parameters, job, command)
 
 
 def _of_the_run(configuration: Configuration) -> Configuration:
     """Return the configuration of the run within its job: it has the cores that the job has."""
-    execution = configuration.execution
+    execution, job = configuration.execution, configuration.cluster.run
     changes: dict[str, object] = {}
     if execution.workers == "auto":
-        changes["workers"] = configuration.cluster.run.cores
+        changes["workers"] = job.cores
     if configuration.cluster.workers == 0:
         changes["cluster"] = "local"
         if execution.memory == "auto":
-            # A tenth is for the run itself.
-            share = configuration.cluster.run.memory * 9 // 10
-            changes["memory"] = share // configuration.cluster.run.cores
+            changes["memory"] = job.memory * 9 // 10 // job.cores  # a tenth is for the run itself
     return configuration.model_copy(update={"execution": execution.model_copy(update=changes)})
 
 
@@ -188,32 +171,30 @@ def cancel_run(folder: Path) -> str:
     ClusterError
         When the batch system does not answer.
     """
-    submitted = submitted_job(folder)
-    if submitted is None and worker_jobs(folder) is None:
+    submitted, workers = submitted_job(folder), worker_jobs(folder)
+    if submitted is None and workers is None:
         raise WorkError(f"{folder}: nothing to cancel: no run was submitted for this folder")
-    cancelled = [] if submitted is None else _cancel(submitted)
     if submitted is None and folder_is_locked(folder):
         raise WorkError(
             f"{folder}: the run was not submitted; stop it where it was started, its workers follow"
         )
+    cancelled = _cancel(submitted)
     if cancelled and submitted is not None:
         _wait_for(submitted)
-    workers = worker_jobs(folder)
-    left = [] if workers is None else _cancel(workers)
-    if workers is not None:
-        record_workers(folder, workers.system, [])
-    if not cancelled and not left:
-        assert submitted is not None or workers is not None
-        recorded = submitted or workers
-        jobs = "" if recorded is None else f"{recorded.system} job {', '.join(recorded.jobs)}"
+    left = _cancel(worker_jobs(folder))
+    record_workers(folder, "", [])
+    if (recorded := submitted or workers) is not None and not (cancelled or left):
+        jobs = f"{recorded.system} job {', '.join(recorded.jobs)}"
         raise WorkError(f"{folder}: nothing to cancel: {jobs} has ended")
     told = [f"job {job}" for job in cancelled]
     told += [f"{len(left)} jobs of workers"] if left else []
     return f"cancelled: {' and '.join(told)}; what is done is kept, and the same run goes on"
 
 
-def _cancel(recorded: RecordedJobs) -> list[str]:
+def _cancel(recorded: RecordedJobs | None) -> list[str]:
     """Cancel the jobs that wait or run, and return them."""
+    if recorded is None:
+        return []
     alive = [job for job, state in recorded.states().items() if state.alive]
     recorded.batch_system.cancel_jobs(alive)
     return alive

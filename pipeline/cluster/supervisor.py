@@ -6,7 +6,6 @@ there, the run waits, and says so.
 """
 
 import logging
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from threading import Event, Thread
@@ -16,7 +15,7 @@ from typing import Any
 from distributed import Future
 from distributed.core import Status
 
-from pipeline.cluster.batch_systems import BatchSystem, JobState, Phase
+from pipeline.cluster.batch_systems import BatchSystem, JobState, Phase, count_words
 from pipeline.cluster.record import logs_folder, record_workers
 from pipeline.configuration.cluster import ClusterParameters
 from pipeline.errors import ClusterError
@@ -63,13 +62,7 @@ class Supervisor:
         self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
 
     def begin(self) -> None:
-        """Submit the jobs, and wait until the first worker is there.
-
-        Raises
-        ------
-        ClusterError
-            When no job can be submitted, or none comes to its worker.
-        """
+        """Submit the jobs, and wait for the first worker; raise a `ClusterError` if none comes."""
         self._fill_up()
         self._thread.start()
         while self._nobody:
@@ -148,10 +141,8 @@ class Supervisor:
                 logger.warning("job %s ended before its worker was there (%s)", job, state)
         if self._failed_starts >= _FAILED_STARTS * self._jobs_wanted:
             reason = self._refusal or _last_words(self._output)
-            self._trouble = (
-                f"{self._failed_starts} jobs in a row ended before their workers were there: "
-                f"{reason}"
-            )
+            ended = f"{self._failed_starts} jobs in a row ended before their workers were there"
+            self._trouble = f"{ended}: {reason}"
         self._remove(names)
 
     def _remove(self, names: list[str]) -> None:
@@ -172,7 +163,9 @@ class Supervisor:
             # Those that could not be submitted are no jobs.
             unborn = [name for name, job in self._cluster.workers.items() if not job.job_id]
             self._remove(unborn)
-            raise ClusterError(f"{self._system.submit[0]}: {_complaint(error)}") from None
+            # Of dask-jobqueue's account what the command said.
+            said = str(error).rpartition("stderr:")[2].strip() or error
+            raise ClusterError(f"{self._system.submit[0]}: {said}") from None
         finally:
             self._record()
 
@@ -189,16 +182,13 @@ class Supervisor:
         """Tell when nobody is there, now and then, and when somebody is again."""
         if present:
             if self._nobody:
-                wanted = self._jobs_wanted
-                logger.info("workers are there, of %d of %d jobs", present, wanted)
-            self._nobody = False
-            self._said = -_SAY_EVERY
+                logger.info("workers are there, of %d of %d jobs", present, self._jobs_wanted)
+            self._nobody, self._said = False, -_SAY_EVERY
             return
         self._nobody = True
         if now - self._said >= _SAY_EVERY:
             self._said = now
-            words = Counter(state.word for state in self._states.values())
-            known = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+            known = count_words(self._states.values())
             logger.warning("waiting: no worker is there (jobs of %s: %s)", self._system.name, known)
 
     def _let_go(self) -> None:
@@ -206,20 +196,11 @@ class Supervisor:
         self._client.cancel([Future(key, self._client) for key in list(self._client.futures)])
 
 
-def _complaint(error: Exception) -> str:
-    """Return what a command said, of dask-jobqueue's account of it."""
-    text = str(error)
-    said = text.rpartition("stderr:")[2].strip() or text
-    return " ".join(said.split())
-
-
 def _last_words(output: Path) -> str:
     """Return the last line of the newest log of a job, and where it is."""
     folder = logs_folder(output)
     logs = sorted(folder.glob("*"), key=lambda path: path.stat().st_mtime)
     for log in reversed(logs):
-        lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
-        said = [line.strip() for line in lines if line.strip()]
-        if said:
-            return f"{log} ends with {said[-1]!r}"
+        if said := log.read_text(encoding="utf-8", errors="replace").strip():
+            return f"{log} ends with {said.splitlines()[-1].strip()!r}"
     return f"they left no word in {folder}"

@@ -34,10 +34,9 @@ TOPIC = "dynahull-refused"
 
 @dataclass(frozen=True, slots=True)
 class SharedFiles:
-    """What every worker must find where the run finds it."""
+    """What every worker must find where the run finds it: the work folder, to be written into."""
 
     folder: str
-    """The work folder, to be read and written."""
     token: str
     """Name of a file in it that the run made just now."""
     sizes: tuple[tuple[str, int], ...]
@@ -99,8 +98,7 @@ class SharingCheck(WorkerPlugin):  # type: ignore[misc]
 
 def check_running_workers(client: Any, files: SharedFiles) -> str | None:
     """Return what a worker of a running cluster that is in trouble says, None if all is well."""
-    answers = client.run(files.trouble)
-    return next((answer for answer in answers.values() if answer is not None), None)
+    return next(filter(None, client.run(files.trouble).values()), None)
 
 
 logger = logging.getLogger("dynahull")
@@ -158,6 +156,8 @@ def cluster_workers(
     parameters, output = configuration.cluster, work.parent
     system = batch_system(configuration.execution.cluster)
     check_ready(system, parameters, output)
+    # Who comes and goes is said by Supervisor, and not by a scheduler in this process.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     settings = {
         "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
         "distributed.admin.log-length": 1_000,
@@ -167,7 +167,6 @@ def cluster_workers(
     }
     with (
         dask.config.set(settings),
-        _quiet_dask(),
         _cluster(system, parameters, output) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
@@ -192,10 +191,7 @@ def running_scheduler(
 ) -> Iterator[Executor]:
     """Use the workers of a scheduler that is running, such as `tcp://10.0.0.1:8786`.
 
-    Raises
-    ------
-    ClusterError
-        When one of its workers does not share what it must.
+    One of them that does not share what it must is a `ClusterError`.
     """
     address = str(configuration.execution.scheduler)
     security = scheduler_security(configuration.cluster.tls, address)
@@ -208,18 +204,6 @@ def running_scheduler(
         if trouble is not None:
             raise ClusterError(f"{address}: the worker on {trouble}")
         yield OnDask(client)
-
-
-@contextmanager
-def _quiet_dask() -> Iterator[None]:
-    """Keep back what a scheduler in this process has to say: who comes and goes is said here."""
-    noisy = logging.getLogger("distributed")
-    before = noisy.level
-    noisy.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        noisy.setLevel(before)
 
 
 def check_ready(system: BatchSystem, parameters: ClusterParameters, output: Path) -> None:
@@ -261,11 +245,6 @@ def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security |
     """Return the keys of a cluster that this run starts, None without TLS.
 
     If none are given they are made, where `keys` says, for jobs to find them.
-
-    Raises
-    ------
-    ConfigurationError
-        When a file is not there.
     """
     if tls.ca_file is not None:
         return _of_files(tls)
@@ -281,13 +260,7 @@ def cluster_security(tls: TLSParameters, keys: Mapping[str, Path]) -> Security |
 
 
 def scheduler_security(tls: TLSParameters, address: str) -> Security | None:
-    """Return the keys of a scheduler that is running, None without TLS.
-
-    Raises
-    ------
-    ConfigurationError
-        When files are wanted and not given, or not there.
-    """
+    """Return the keys of a scheduler that is running, None without TLS."""
     if tls.ca_file is not None:
         return _of_files(tls)
     if tls.enabled or address.startswith("tls://"):
@@ -299,6 +272,7 @@ def scheduler_security(tls: TLSParameters, address: str) -> Security | None:
 
 
 def _of_files(tls: TLSParameters) -> Security:
+    """Return keys that are given, or raise a `ConfigurationError` if one is not there."""
     files = {}
     for name in ("ca_file", "certificate", "key"):
         path = in_home(getattr(tls, name)).resolve()
@@ -337,13 +311,15 @@ def worker_keywords(
     if parameters.lifetime_seconds is not None:
         arguments += ["--lifetime", f"{parameters.lifetime_seconds}s"]
         arguments += ["--lifetime-stagger", f"{parameters.stagger_seconds}s"]
-    keywords = system.keywords(parameters, job)
-    keywords["processes"] = parameters.workers_per_job
-    keywords["worker_extra_args"] = arguments
+    # Without -P the folder that a job begins in would come before what is installed.
+    keywords = {
+        **system.keywords(parameters, job),
+        "processes": parameters.workers_per_job,
+        "worker_extra_args": arguments,
+        "python": f"{shlex.quote(parameters.python or sys.executable)} -P",
+    }
     if parameters.interface is not None:
         keywords["interface"] = parameters.interface
     if parameters.local_directory is not None:
         keywords["local_directory"] = shlex.quote(parameters.local_directory)
-    # Without -P the folder that a job begins in would come before what is installed.
-    keywords["python"] = f"{shlex.quote(parameters.python or sys.executable)} -P"
     return keywords

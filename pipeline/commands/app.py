@@ -13,30 +13,7 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from pipeline.commands.evaluate import evaluate_command
-from pipeline.commands.nightly import nightly_command
-from pipeline.commands.run import (
-    apply_command,
-    cancel_command,
-    preview_command,
-    run_command,
-    submit_command,
-)
-from pipeline.commands.tiles import (
-    clean_command,
-    discard_command,
-    plan_command,
-    status_command,
-    tile_command,
-)
-from pipeline.commands.tools import (
-    info_command,
-    keys_command,
-    manual_command,
-    simulate_command,
-    verify_command,
-    view_command,
-)
+from pipeline.commands import evaluate, run, tiles, tools
 from tiling.foreign_text import LONGEST_LINE, printable
 
 EXIT_FAILURE = 1
@@ -122,26 +99,26 @@ def common(
 
 
 for name, command in (  # in the order of a first day
-    ("simulate", simulate_command),
-    ("info", info_command),
-    ("preview", preview_command),
-    ("run", run_command),
-    ("view", view_command),
-    ("evaluate", evaluate_command),
-    ("apply", apply_command),
-    ("verify", verify_command),
-    ("plan", plan_command),
-    ("status", status_command),
-    ("discard", discard_command),
-    ("submit", submit_command),
-    ("cancel", cancel_command),
-    ("nightly", nightly_command),
-    ("tile", tile_command),
-    ("keys", keys_command),
-    ("manual", manual_command),
+    ("simulate", tools.simulate_command),
+    ("info", tools.info_command),
+    ("preview", run.preview_command),
+    ("run", run.run_command),
+    ("view", tools.view_command),
+    ("evaluate", evaluate.evaluate_command),
+    ("apply", run.apply_command),
+    ("verify", tools.verify_command),
+    ("plan", tiles.plan_command),
+    ("status", tiles.status_command),
+    ("discard", tiles.discard_command),
+    ("submit", run.submit_command),
+    ("cancel", run.cancel_command),
+    ("nightly", run.nightly_command),
+    ("tile", tiles.tile_command),
+    ("keys", tools.keys_command),
+    ("manual", tools.manual_command),
 ):
     app.command(name)(telling(command))
-app.command("clean", hidden=True)(telling(clean_command))
+app.command("clean", hidden=True)(telling(tiles.clean_command))
 
 
 def main() -> NoReturn:

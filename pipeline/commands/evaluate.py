@@ -1,9 +1,15 @@
 """The command `evaluate`. Heavy imports live inside it, so that `--help` answers at once."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+
+def _metres(default: str, meaning: str) -> Any:
+    """Return an option of metres, whose default is known to `EvaluationOptions`."""
+    return typer.Option(metavar="METRES", help=meaning, show_default=default)
+
 
 Cleaned = Annotated[
     str,
@@ -16,7 +22,6 @@ Cleaned = Annotated[
 TruthSource = Annotated[
     str,
     typer.Option(
-        "--truth",
         metavar="TRUTH",
         help="A map of what is static; or labels of every point of the original: a Parquet table "
         "such as `simulate` writes, or a map with a field of labels (--labels).",
@@ -26,7 +31,6 @@ TruthSource = Annotated[
 Original = Annotated[
     str | None,
     typer.Option(
-        "--original",
         metavar="MAP",
         help="The map before it was cleaned; of a result of `run`, it is known. Without it only "
         "distances are measured.",
@@ -35,7 +39,6 @@ Original = Annotated[
 LabelField = Annotated[
     str | None,
     typer.Option(
-        "--labels",
         metavar="FIELD",
         help="Field of TRUTH that holds labels: TRUTH is then the original map. Of a table, its "
         "column; `moving` by default.",
@@ -43,57 +46,25 @@ LabelField = Annotated[
 ]
 DynamicLabels = Annotated[
     str | None,
-    typer.Option(
-        "--dynamic",
-        metavar="VALUES",
-        help="Labels of what moved: 2, or 252-259.",
-        show_default="1",
-    ),
+    typer.Option(metavar="VALUES", help="Labels of what moved: 2, or 252-259.", show_default="1"),
 ]
 UnknownLabels = Annotated[
-    str | None,
-    typer.Option("--unlabelled", metavar="VALUES", help="Labels of points not to be compared."),
+    str | None, typer.Option(metavar="VALUES", help="Labels of points not to be compared.")
 ]
 TruthTolerance = Annotated[
-    float | None,
-    typer.Option(
-        "--truth-tolerance",
-        metavar="METRES",
-        help="A point of the original this near to the truth is static.",
-        show_default="0.0001",
-    ),
+    float | None, _metres("0.0001", "A point of the original this near to the truth is static.")
 ]
 CleanedTolerance = Annotated[
     float | None,
-    typer.Option(
-        "--cleaned-tolerance",
-        metavar="METRES",
-        help="A point of the original this near to the cleaned map was kept.",
-        show_default="0.0001",
-    ),
+    _metres("0.0001", "A point of the original this near to the cleaned map was kept."),
 ]
 MatchDistance = Annotated[
-    float | None,
-    typer.Option(
-        "--match-distance",
-        metavar="METRES",
-        help="The same, for SA and DA (DynamicMap benchmark).",
-        show_default="0.05",
-    ),
+    float | None, _metres("0.05", "The same, for SA and DA (DynamicMap benchmark).")
 ]
-Voxel = Annotated[
-    float | None,
-    typer.Option(
-        "--voxel",
-        metavar="METRES",
-        help="Edge of the voxels of PR and RR (ERASOR).",
-        show_default="0.2",
-    ),
-]
+Voxel = Annotated[float | None, _metres("0.2", "Edge of the voxels of PR and RR (ERASOR).")]
 TransportPoints = Annotated[
     int,
     typer.Option(
-        "--emd-points",
         metavar="N",
         help="Points of each sample for the Earth Mover's Distance (extra: evaluation); 0: none.",
     ),
@@ -101,20 +72,18 @@ TransportPoints = Annotated[
 GroundCostName = Annotated[
     str | None,
     typer.Option(
-        "--ground-cost",
         metavar="COST",
         help="Of the Earth Mover's Distance: euclidean or sqeuclidean.",
         show_default="euclidean",
     ),
 ]
-Seed = Annotated[int | None, typer.Option("--seed", help="Of the samples.", show_default="0")]
+Seed = Annotated[int | None, typer.Option(help="Of the samples.", show_default="0")]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
 ]
 PictureFile = Annotated[
     Path | None,
     typer.Option(
-        "--picture",
         metavar="FILE.png",
         help="Draw the map from above: true positives green, false positives blue, false "
         "negatives red (extra: plot).",
@@ -142,7 +111,7 @@ def evaluate_command(
     """Measure how clean a map is, against a map or labels of what is static."""
     from rich.console import Console  # noqa: PLC0415
 
-    from pipeline.evaluation.options import EvaluationOptions  # noqa: PLC0415
+    from pipeline.evaluation.inputs import EvaluationOptions  # noqa: PLC0415
     from pipeline.evaluation.report import evaluate_files  # noqa: PLC0415
     from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
     from pipeline.showing import printable  # noqa: PLC0415

@@ -80,8 +80,7 @@ Poses = Annotated[
     ),
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler."),
+    str | None, typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler.")
 ]
 ClusterName = Annotated[
     str | None,
@@ -92,8 +91,14 @@ ClusterName = Annotated[
     ),
 ]
 TLS = Annotated[
-    bool,
-    typer.Option("--tls", help="Encrypt between scheduler, workers and run (cluster.tls)."),
+    bool, typer.Option("--tls", help="Encrypt between scheduler, workers and run (cluster.tls).")
+]
+
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Start over, whatever an earlier run left half done.")
 ]
 
 
@@ -113,6 +118,25 @@ def named_maps(maps: list[str] | None, scans: str | None) -> list[str]:
     if bool(maps) == bool(scans):
         raise typer.BadParameter("expected MAP... or --scans FOLDER", param_hint="MAP...")
     return [*(maps or []), *([scans] if scans else [])]
+
+
+def output_folder(output: str | None) -> Path | None:
+    """Return the folder that `-o` names, None for the default."""
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+
+    if output == "":
+        raise ConfigurationError("-o: expected a folder, found nothing")
+    return None if output is None else Path(output)
+
+
+def configured(config: str | None, settings: list[str]) -> "Configuration":
+    """Return the configuration of a run; settings without effect are refused."""
+    from pipeline.configuration.effect import check_effect  # noqa: PLC0415 (slow to import)
+    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
+
+    configuration = load_configuration(config, settings)
+    check_effect(settings, configuration)
+    return configuration
 
 
 def pose_settings(poses: str | None) -> list[str]:

@@ -1,4 +1,4 @@
-"""The commands that clean a map: `run`, `submit` and `cancel` on a cluster, and `preview`."""
+"""The commands that clean maps: `run`, `submit` and `cancel` on a cluster, `preview`, `nightly`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +11,8 @@ from pipeline.commands.options import (
     ClusterName,
     Confidence,
     ConfigurationSource,
+    Folder,
+    Fresh,
     HeightOption,
     Maps,
     Output,
@@ -21,7 +23,9 @@ from pipeline.commands.options import (
     Settings,
     WindowOption,
     check_encryption,
+    configured,
     named_maps,
+    output_folder,
     part_settings,
     pose_settings,
     telling_how_to_go_on,
@@ -29,6 +33,7 @@ from pipeline.commands.options import (
 )
 
 if TYPE_CHECKING:
+    from pipeline.nightly.settings import NightlySettings
     from pipeline.preview import Window
 
 _WINDOW_SIDE = 20.0
@@ -43,13 +48,9 @@ def run_command(
         bool,
         typer.Option("--labels", help="Write label, cluster and density of every point as well."),
     ] = False,
-    fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Start over, whatever an earlier run left half done."),
-    ] = False,
+    fresh: Fresh = False,
     keep_work: Annotated[
-        bool,
-        typer.Option("--keep-work", help="Keep the work folder of a map of several tiles."),
+        bool, typer.Option("--keep-work", help="Keep the work folder of a map of several tiles.")
     ] = False,
     window: WindowOption = None,
     height: HeightOption = None,
@@ -65,9 +66,6 @@ def run_command(
 
     A run that was interrupted goes on where it was when the same command is given again.
     """
-    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
-    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
-    from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.run import run  # noqa: PLC0415
 
@@ -75,19 +73,16 @@ def run_command(
     wanted += ["output.keep_work=true"] if keep_work else []
     wanted += worker_settings(scheduler, cluster, tls) + pose_settings(poses)
     wanted += part_settings(window, height, protect, confidence)
-    named = named_maps(maps, scans)
-    if output == "":
-        raise ConfigurationError("-o: expected a folder, found nothing")
-    configuration = load_configuration(config, wanted)
-    check_effect(wanted, configuration)
+    named, place = named_maps(maps, scans), output_folder(output)
+    configuration = configured(config, wanted)
     check_encryption(configuration, tls)
     with telling_how_to_go_on(), watching() as observer:
-        report = run(named, Path(output) if output else None, configuration, observer, fresh=fresh)
+        report = run(named, place, configuration, observer, fresh=fresh)
     typer.echo(report.summary())
 
 
 def apply_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+    folder: Folder,
     output: Annotated[
         str | None,
         typer.Option(
@@ -105,14 +100,11 @@ def apply_command(
     """Decide again, without computing again: split the map of a run by other settings."""
     from pipeline.apply import decide_again  # noqa: PLC0415
     from pipeline.areas import read_areas  # noqa: PLC0415
-    from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
 
-    if output == "":
-        raise ConfigurationError("-o: expected a folder, found nothing")
+    place = output_folder(output)
     wanted = [*(settings or []), *part_settings(None, None, None, confidence)]
     areas = [] if protect is None else read_areas(protect)
-    place = Path(output) if output else None
     with watching() as observer:
         report = decide_again(folder, place, wanted, areas, restore or [], observer)
     typer.echo(report.summary())
@@ -131,28 +123,19 @@ def submit_command(
     poses: Poses = None,
     cluster: ClusterName = None,
     tls: TLS = False,
-    fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Start over, whatever an earlier run left half done."),
-    ] = False,
+    fresh: Fresh = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the script of the job, and submit nothing.")
     ] = False,
 ) -> None:
     """Hand a whole run over to a batch system; `status` and `cancel` follow it by its folder."""
     from pipeline.cluster.submitting import run_script, submit_run  # noqa: PLC0415
-    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
-    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
-    from pipeline.errors import ConfigurationError  # noqa: PLC0415
 
-    if output == "":
-        raise ConfigurationError("-o: expected a folder, found nothing")
+    place = output_folder(output)
     wanted = [*(settings or []), *worker_settings(None, cluster, tls), *pose_settings(poses)]
     wanted += part_settings(window, height, protect, confidence)
     named = named_maps(maps, scans)
-    configuration = load_configuration(config, wanted)
-    check_effect(wanted, configuration)
-    place = Path(output) if output else None
+    configuration = configured(config, wanted)
     if dry_run:
         typer.echo(run_script(named, place, configuration, fresh=fresh), nl=False)
         return
@@ -161,9 +144,7 @@ def submit_command(
     typer.echo(f"submitted: {system} job {job}; follow it with dynahull-pipeline status {folder}")
 
 
-def cancel_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
-) -> None:
+def cancel_command(folder: Folder) -> None:
     """Cancel a run that was submitted, and the jobs of its workers; what is done is kept."""
     from pipeline.cluster.submitting import cancel_run  # noqa: PLC0415
 
@@ -210,28 +191,16 @@ def preview_command(
 
     The part is a typical place of the map, unless a window is given; a small map is cleaned whole.
     """
-    from pipeline.configuration.effect import check_effect  # noqa: PLC0415
-    from pipeline.configuration.run import load_configuration  # noqa: PLC0415
-    from pipeline.errors import ConfigurationError  # noqa: PLC0415
     from pipeline.preview import preview  # noqa: PLC0415
     from pipeline.progress import watching  # noqa: PLC0415
     from pipeline.replacing import REPORT_FILE  # noqa: PLC0415
 
-    if output == "":
-        raise ConfigurationError("-o: expected a folder, found nothing")
+    place = output_folder(output)
     chosen = _chosen_window(window, centre, size, thin)
     wanted = [*(settings or []), *part_settings(None, height, protect, confidence)]
-    configuration = load_configuration(config, wanted)
-    check_effect(wanted, configuration)
+    configuration = configured(config, wanted)
     with watching() as observer:
-        report = preview(
-            maps,
-            Path(output) if output else None,
-            configuration,
-            observer,
-            points=points,
-            window=chosen,
-        )
+        report = preview(maps, place, configuration, observer, points=points, window=chosen)
     page = (Path(report.output) / REPORT_FILE).resolve()
     typer.echo(report.summary())
     typer.echo(f"report: {page}")
@@ -255,13 +224,84 @@ def _chosen_window(
         raise ConfigurationError("--size: expected --centre with it, found none")
     if thin:
         return WHOLE
-    if window is not None:
-        chosen = Window(window[:2], window[2:])
-    elif centre is not None:
+    if centre is not None:
         (x, y), half = centre, (_WINDOW_SIDE if size is None else size) / 2
-        chosen = Window((x - half, y - half), (x + half, y + half))
-    else:
+        window = x - half, y - half, x + half, y + half
+    if window is None:
         return None
+    chosen = Window(window[:2], window[2:])
     if not (chosen.low[0] < chosen.high[0] and chosen.low[1] < chosen.high[1]):
         raise ConfigurationError(f"expected a window with X0 < X1 and Y0 < Y1, found {chosen}")
     return chosen
+
+
+def nightly_command(
+    source: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="NIGHTLY.yaml", help="What is cleaned every night.", show_default=False
+        ),
+    ] = None,
+    settings: Settings = None,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Try once more what was set aside.")
+    ] = False,
+    schedule: Annotated[
+        bool,
+        typer.Option(
+            "--schedule", help="Print a line for cron, and a service and timer of systemd."
+        ),
+    ] = False,
+    install: Annotated[bool, typer.Option("--install", hidden=True)] = False,
+    example: Annotated[
+        bool, typer.Option("--example", help="Print a commented NIGHTLY.yaml to begin with.")
+    ] = False,
+) -> None:
+    """Clean the maps that are new or changed, one after the other: for cron and systemd.
+
+    Exit codes: 0 all well, 4 some maps failed, 75 another night holds the lock, 130 stopped by a
+    signal, 2 wrong configuration, 1 anything else.
+    """
+    from pipeline.configuration.run import NIGHTLY_EXAMPLE, configurations_folder  # noqa: PLC0415
+    from pipeline.errors import ConfigurationError  # noqa: PLC0415
+
+    if example:
+        text = (configurations_folder() / NIGHTLY_EXAMPLE).read_text(encoding="utf-8")
+        typer.echo(text, nl=False)
+        return
+    if source is None:
+        raise ConfigurationError("nightly: expected a YAML file, found none; see --example")
+
+    from pipeline.nightly.settings import load_nightly_settings  # noqa: PLC0415
+
+    found = load_nightly_settings(source, settings or [])
+    if install:
+        typer.echo("note: --install is called --schedule now, as it installs nothing", err=True)
+    if install or schedule:
+        from pipeline.nightly.install import install_text  # noqa: PLC0415
+
+        typer.echo(install_text(found, source, settings or []))
+        return
+    raise typer.Exit(_exit_code_of_night(found, retry))
+
+
+def _exit_code_of_night(settings: "NightlySettings", retry: bool) -> int:
+    """Spend a night, and return what the command ends with."""
+    from pipeline.errors import NightLockedError, NightlyError  # noqa: PLC0415
+    from pipeline.nightly.clock import Clock, NightEnd  # noqa: PLC0415
+    from pipeline.nightly.night import clean_nightly  # noqa: PLC0415
+    from pipeline.nightly.one_map import Cleaner  # noqa: PLC0415
+    from pipeline.nightly.summary import EXIT_LOCKED, EXIT_WELL  # noqa: PLC0415
+
+    clock = Clock()
+    end = NightEnd(clock, settings.stop_after)
+    try:
+        with end.listening():
+            summary = clean_nightly(settings, Cleaner(), clock, end, retry=retry)
+    except NightLockedError as error:
+        typer.echo(f"error: {error}", err=True)
+        return EXIT_LOCKED
+    except OSError as error:
+        place = error.filename or settings.output
+        raise NightlyError(f"{place}: {error.strerror or error}") from error
+    return summary.exit_code or EXIT_WELL

@@ -8,8 +8,10 @@ import typer
 
 from pipeline.commands.options import (
     TLS,
+    AsJson,
     ClusterName,
     ConfigurationSource,
+    Folder,
     Maps,
     Scheduler,
     Settings,
@@ -17,9 +19,6 @@ from pipeline.commands.options import (
     telling_how_to_go_on,
     worker_settings,
 )
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")]
 
 
 def plan_command(

@@ -8,18 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.commands.options import MAPS, Poses, Scans, named_maps
+from pipeline.commands.options import MAPS, AsJson, Folder, Poses, Scans, named_maps
 from tiling.foreign_text import printable_path
 
 
 def manual_page(context: Any) -> str:
-    """Return the page of all commands, as roff for `man`.
-
-    Parameters
-    ----------
-    context : typer.Context
-        Of the group of commands.
-    """
+    """Return the page of all commands, as roff for `man`, by the context of their group."""
     group, name = context.command, "dynahull-pipeline"
     lines = [
         f'.TH {name.upper()} 1 "" "{name} {version(name)}" "User commands"',
@@ -53,7 +47,7 @@ def info_command(
     maps: Annotated[list[str] | None, MAPS] = None,
     scans: Scans = None,
     poses: Poses = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show what a map holds: format, points, fields, bounds, CRS, non-finite points, duplicates."""
     from pipeline.info import inspect_map  # noqa: PLC0415
@@ -93,7 +87,7 @@ def verify_command(
 
 
 def view_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a run.")],
+    folder: Folder,
     save: Annotated[
         Path | None,
         typer.Option(metavar="FILE.rrd", help="Write a recording to open elsewhere instead."),
@@ -138,8 +132,7 @@ def simulate_command(
         ),
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(help="Seed of plan, people, noise and drift; 0 if not given."),
+        int | None, typer.Option(help="Seed of plan, people, noise and drift; 0 if not given.")
     ] = None,
     points: Annotated[
         int | None,

@@ -22,35 +22,18 @@ _WORK = ("execution.cluster", "execution.scheduler", "execution.memory", "output
 
 
 def check_work(settings: Sequence[str]) -> None:
-    """Refuse settings about the work of a run, where there is none.
-
-    Raises
-    ------
-    ConfigurationError
-    """
-    for key in (setting.partition("=")[0] for setting in settings):
-        if key in _WORK:
-            raise ConfigurationError(f"{key} has no effect on apply, which works without tiles")
+    """Refuse settings, as `--set` takes them, about the work of a run, where there is none."""
+    _refuse(settings, _WORK, "on apply, which works without tiles")
 
 
 def check_effect(settings: Sequence[str], configuration: Configuration) -> None:
-    """Refuse settings that have no effect on what is decided.
-
-    Parameters
-    ----------
-    settings : sequence of str
-        As `--set` takes them.
-    configuration : Configuration
-        As they make it.
-
-    Raises
-    ------
-    ConfigurationError
-    """
+    """Refuse settings that have no effect on what is decided by the configuration they make."""
     decision = configuration.removal.decision
     idle, remedy = _IDLE[decision]
+    _refuse(settings, idle, f"where removal.decision is {decision}: {remedy}")
+
+
+def _refuse(settings: Sequence[str], idle: Sequence[str], where: str) -> None:
     for key in (setting.partition("=")[0] for setting in settings):
         if key in idle:
-            raise ConfigurationError(
-                f"{key} has no effect where removal.decision is {decision}: {remedy}"
-            )
+            raise ConfigurationError(f"{key} has no effect {where}")

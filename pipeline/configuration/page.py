@@ -21,7 +21,6 @@ nearest that does. `config.yaml` beside every result holds all keys as they were
 back with `-c` repeats the run. This page is what `dynahull-pipeline keys` prints.
 """
 
-
 _WORDS: dict[Any, str] = {
     str: "text",
     int: "whole number",
@@ -45,15 +44,12 @@ def _tables(model: type[BaseModel], place: str) -> str:
         if isinstance(inner, type) and issubclass(inner, BaseModel):
             sections.append(_tables(inner, f"{place}{name}."))
         else:
-            default, allowed = _written(field.default), _allowed(field)
+            default = yaml.safe_dump(field.default, default_flow_style=None).partition("\n")[0]
+            allowed = _allowed(field)
             rows.append(f"| `{place}{name}` | {default} | {allowed} | {field.description} |")
     table = ["| key | default | allowed | |", "|---|---|---|---|", *rows, ""] if rows else []
     heading = [f"## {place.rstrip('.')}", ""] if place else []
     return "\n".join([*heading, *table, *sections])
-
-
-def _written(value: object) -> str:
-    return str(yaml.safe_dump(value, default_flow_style=None)).split("\n", maxsplit=1)[0]
 
 
 def _allowed(field: FieldInfo) -> str:

@@ -78,13 +78,7 @@ def in_time(seconds: float) -> str:
 
 
 def in_home(path: str | Path) -> Path:
-    """Return a path with `~` replaced.
-
-    Raises
-    ------
-    ConfigurationError
-        When it begins with `~`, and there is no such home.
-    """
+    """Return a path with `~` replaced; without such a home it is a `ConfigurationError`."""
     try:
         return Path(path).expanduser()
     except RuntimeError:

@@ -17,7 +17,6 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic.fields import FieldInfo
 
 from dynahull.labels import Label
 from dynahull.parameters import MethodParameters, validation_message
@@ -301,10 +300,6 @@ def load_configuration(source: str | None, settings: Sequence[str] = ()) -> Conf
     settings : sequence of str
         `section.key=value`, as given to `--set`; the value is YAML. Later ones win.
 
-    Returns
-    -------
-    Configuration
-
     Raises
     ------
     ConfigurationError
@@ -317,14 +312,14 @@ def load_parameters(model: type[Model], source: str | None, settings: Sequence[s
     """Read any model as `load_configuration` reads the configuration of a run."""
     if source == "":
         raise ConfigurationError("-c: expected a file or a name, found nothing")
-    values = _read_yaml(_configuration_path(source)) if source else {}
+    values = _read_yaml(source) if source else {}
     for setting in settings:
         _apply(setting, values)
-    # A section whose keys are all commented out is one with its defaults.
-    sections = {name for name, field in model.model_fields.items() if _is_section(field)}
-    values = {
-        name: value for name, value in values.items() if value is not None or name not in sections
-    }
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        is_section = isinstance(kind, type) and issubclass(kind, BaseModel)
+        if is_section and values.get(name, ...) is None:
+            del values[name]  # all of its keys are commented out
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -334,23 +329,13 @@ def load_parameters(model: type[Model], source: str | None, settings: Sequence[s
         raise ConfigurationError(f"{named}: {validation_message(error, model)}") from None
 
 
-def _is_section(field: FieldInfo) -> bool:
-    return isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
-
-
-def _configuration_path(source: str) -> Path:
-    path = Path(source)
-    ready = ready_configurations()
-    if path.is_file() or source not in ready:
-        return path
-    return ready[source]
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
+def _read_yaml(source: str) -> dict[str, Any]:
+    path, ready = Path(source), ready_configurations()
+    if not path.is_file():
+        path = ready.get(source, path)
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        ready = ready_configurations()
         alike = get_close_matches(str(path), ready, n=1)
         hint = f"; did you mean {alike[0]}?" if alike else ""
         raise ConfigurationError(
@@ -387,8 +372,7 @@ def _apply(setting: str, values: dict[str, Any]) -> None:
         ) from None
     *sections, name = key.split(".")
     for section in sections:
-        inner = values.setdefault(section, {})
-        if not isinstance(inner, dict):
+        values = values.setdefault(section, {})
+        if not isinstance(values, dict):
             raise ConfigurationError(f"--set {setting}: {section} is a value, not a section")
-        values = inner
     values[name] = value

@@ -5,17 +5,20 @@ then gone through tile by tile. Each map is read twice, in batches; what is foun
 is written beside it. No figure depends on how the maps are cut, to the last bit.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from dynahull.progress import Observer
 from pipeline.errors import DiskSpaceError, EvaluationError, MissingPackageError
-from pipeline.evaluation.distances import Geometry, compare_geometry
-from pipeline.evaluation.earth_mover import check_transport, transport_library
-from pipeline.evaluation.inputs import EvaluationInputs
+from pipeline.evaluation.distances import (
+    Geometry,
+    check_transport,
+    compare_geometry,
+    transport_library,
+)
+from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions
 from pipeline.evaluation.labels import Truth
-from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.picture import draw_picture
 from pipeline.evaluation.scoring import Scores, label_by_map, label_cleaned, score
 from pipeline.evaluation.tiled_cloud import (
@@ -35,8 +38,7 @@ _MORE_BYTES = 25
 """On the disk, a point of the cleaned map at most: its distance, or the mean of its voxel."""
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
+class Figures(NamedTuple):
     """All figures; `scores` is None where there is no original map."""
 
     geometry: Geometry
@@ -49,14 +51,7 @@ def evaluate(
     observer: Observer,
     picture: Path | None = None,
 ) -> Figures:
-    """Compare a cleaned map with the truth.
-
-    Parameters
-    ----------
-    observer : Observer
-        Told of stages, progress and warnings.
-    picture : Path, optional
-        Where to draw the decisions, if there is an original map.
+    """Compare a cleaned map with the truth; `picture` is where to draw the decisions.
 
     Raises
     ------
@@ -105,7 +100,11 @@ def _compare(
             )
         return Figures(compare_geometry(cleaned, truth, options, folder, observer), None)
     if truth is not None:
-        _check_place(truth, original)
+        if apart := distance_apart(truth, original):  # in which nothing of it can be static
+            raise EvaluationError(
+                f"{truth.name}: expected a map of the same place as {original.name}, found it "
+                f"{apart:g} m away: are they in the same coordinates?"
+            )
         label_by_map(original, truth, options, observer)
     else:
         truth = original.choose(Truth.STATIC)
@@ -115,8 +114,7 @@ def _compare(
     cleaned = cleaned.choose(Truth.STATIC, Truth.DYNAMIC)
     check_points(cleaned, " among those that are to be compared")
     geometry = compare_geometry(cleaned, truth, options, folder, observer)
-    removed_known = inputs.removed is not None
-    scores = score(cleaned, original, removed_known, options, folder, observer)
+    scores = score(cleaned, original, inputs.removed is not None, options, folder, observer)
     if picture is not None:
         with only_showing(str(picture), observer.warn):
             draw_picture(original, picture, observer)
@@ -143,15 +141,6 @@ def _check_disk(collections: list[MapCollection]) -> None:
         check_space(temporary_folder(), temporary, 0, 0)
     except DiskSpaceError as error:
         raise DiskSpaceError(f"{error} (TMPDIR names another folder)") from None
-
-
-def _check_place(truth: TiledCloud, original: TiledCloud) -> None:
-    """Refuse a truth of another place, in which nothing of the original can be static."""
-    if apart := distance_apart(truth, original):
-        raise EvaluationError(
-            f"{truth.name}: expected a map of the same place as {original.name}, found it "
-            f"{apart:g} m away: are they in the same coordinates?"
-        )
 
 
 def _check_labels(original: TiledCloud, observer: Observer) -> None:

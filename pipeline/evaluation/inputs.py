@@ -1,11 +1,15 @@
-"""Finding what is to be compared: maps, labels, and what a run left in its folder."""
+"""What is to be compared, and how: options, maps, labels, and what a run left in its folder."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, Field, ValidationError
 
 from dynahull import Label
+from dynahull.parameters import validation_message
 from pipeline.configuration.run import InputParameters
 from pipeline.errors import ConfigurationError, EvaluationError
 from pipeline.evaluation.labels import (
@@ -15,12 +19,73 @@ from pipeline.evaluation.labels import (
     read_label_table,
     read_labels_of_map,
 )
-from pipeline.evaluation.options import EvaluationOptions
 from pipeline.outputs.reading import label_batches, row_columns
 from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
 from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.parquet_tables import row_count
+
+GroundCost = Literal["euclidean", "sqeuclidean"]
+
+
+class EvaluationOptions(BaseModel, extra="forbid", frozen=True):
+    """The options of `evaluate`; all of them are in its report."""
+
+    labels: str | None = None
+    """Field of the truth that holds a label of every point; None: the truth is the static map."""
+    dynamic: str = "1"
+    unlabelled: str = ""
+    """Label values, as `labels.parse_values` reads them."""
+    truth_tolerance: float = Field(1e-4, ge=0, allow_inf_nan=False)
+    cleaned_tolerance: float = Field(1e-4, ge=0, allow_inf_nan=False)
+    """Metres within which a point of the original is at a point of the truth, and of the cleaned
+    map. The default is finer than the millimetre grid of most LAS files, and coarser than the
+    rounding of float32 within a kilometre of the origin."""
+    match_distance: float = Field(0.05, gt=0, allow_inf_nan=False)
+    """Metres, of SA and DA."""
+    voxel: float = Field(0.2, ge=1e-6, allow_inf_nan=False)
+    """Metres, of PR and RR; at least a micrometre."""
+    emd_points: int = Field(2000, ge=0)
+    """Size of the samples for the Earth Mover's Distance; 0: none is computed."""
+    ground_cost: GroundCost = "euclidean"
+    seed: int = Field(0, ge=0)
+    """Of the samples."""
+
+    @classmethod
+    def checked(cls, **values: Any) -> Self:
+        """Make options of what the command line was given, or raise a `ConfigurationError`."""
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            option, _, problem = validation_message(error, cls).partition(":")
+            raise ConfigurationError(f"--{option.replace('_', '-')}:{problem}") from None
+
+    def refuse_unused(self, *, labelled: bool, original: bool) -> None:
+        """Refuse options that were given and have no effect.
+
+        Parameters
+        ----------
+        labelled : bool
+            Whether the truth is labels; otherwise it is a map of what is static.
+        original : bool
+            Whether there is an original map.
+        """
+        unused: dict[str, str] = {}
+        if labelled:
+            unused["truth_tolerance"] = "the truth is labels, not a map of what is static"
+        else:
+            without_labels = "the truth is a map without labels (--labels names their field)"
+            unused |= dict.fromkeys(("dynamic", "unlabelled"), without_labels)
+        if not original:
+            names = ("truth_tolerance", "cleaned_tolerance", "match_distance", "voxel")
+            unused |= dict.fromkeys(names, "there is no original map (--original)")
+        if not self.emd_points:
+            without_transport = "no samples are drawn (--emd-points 0)"
+            unused |= dict.fromkeys(("ground_cost", "seed"), without_transport)
+        for name, reason in unused.items():
+            if name in self.model_fields_set:
+                option = name.replace("_", "-")
+                raise ConfigurationError(f"--{option}: it has no effect here: {reason}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +102,7 @@ class EvaluationInputs:
     removed: RowValues | None
     """Which rows of the original the run removed, bool, where its folder says so."""
     kept: RowValues | None = None
-    """Which points of `cleaned` are left, bool, where the run labelled them all (output.mode
-    label)."""
+    """Which points of `cleaned` are left, where the run labelled them all (output.mode label)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +149,7 @@ def find_inputs(
         if original_map is None:
             raise EvaluationError(f"{truth}: labels are of an original map; give it by --original")
         labels = read_label_table(Path(truth), options.labels, dynamic, unlabelled)
-        rows = row_count(Path(truth))
-        if rows != original_map.point_count:
+        if (rows := row_count(Path(truth))) != original_map.point_count:
             raise EvaluationError(
                 f"{truth}: expected labels of the {original_map.point_count:,} points of "
                 f"{original_map.name}, found {rows:,}"
@@ -156,8 +219,7 @@ def _removed_rows(
         return RowValues(lambda: (~each for each in kept))
     if not run.labels.is_file():
         return None
-    rows = row_count(run.labels)
-    if rows != original.point_count:
+    if (rows := row_count(run.labels)) != original.point_count:
         raise EvaluationError(
             f"{run.labels}: expected a label of the {original.point_count:,} points of "
             f"{original.name}, found {rows:,}: the map was changed since it was cleaned"

@@ -56,10 +56,7 @@ class RowValues:
 
 
 class RowReader:
-    """One pass through the values of a map, as many rows at a time as are asked for.
-
-    Where there are too few, `name` says of what.
-    """
+    """One pass through the values of a map of this name, as many rows at a time as asked for."""
 
     def __init__(self, values: RowValues, name: str) -> None:
         self._arrays = iter(values)
@@ -67,13 +64,7 @@ class RowReader:
         self._name = name
 
     def take(self, count: int) -> NDArray[Any]:
-        """Return the values of the next rows, (count,).
-
-        Raises
-        ------
-        EvaluationError
-            When there are no more.
-        """
+        """Return the values of the next rows, (count,), or raise an `EvaluationError`."""
         while len(self._left) < count:
             array = next(self._arrays, None)
             if array is None:
@@ -87,13 +78,7 @@ class RowReader:
 
 
 def parse_values(option: str, text: str) -> tuple[range, ...]:
-    """Read label values such as `2`, `252-259` or `0,1,252-259`.
-
-    Raises
-    ------
-    ConfigurationError
-        When the text is something else; it names `option`.
-    """
+    """Read label values such as `2`, `252-259` or `0,1,252-259`; errors name the `option`."""
     ranges = []
     for part in text.split(",") if text else []:
         match = _RANGE.fullmatch(part.strip())
@@ -102,8 +87,7 @@ def parse_values(option: str, text: str) -> tuple[range, ...]:
                 f"{option} {text}: expected whole numbers and ranges such as 2 or 252-259, "
                 f"found {part.strip()!r}"
             )
-        first = int(match[1])
-        last = first if match[2] is None else int(match[2])
+        first, last = int(match[1]), int(match[2] or match[1])
         if last < first:
             raise ConfigurationError(f"{option} {text}: {part.strip()} runs backwards")
         ranges.append(range(first, last + 1))
@@ -153,12 +137,7 @@ def read_label_table(
 ) -> RowValues:
     """Return the labels of a table of one row a point, such as the `truth.parquet` of `simulate`.
 
-    The column is `moving` by default; its values mean what they mean to `to_truth`.
-
-    Raises
-    ------
-    EvaluationError
-        When there is no such column of numbers or booleans.
+    The column, of numbers or booleans, is `moving` by default; `to_truth` says what they mean.
     """
     column = column or MOVING_COLUMN
     names = _columns(path)
@@ -191,13 +170,7 @@ def _table_values(path: Path, column: str) -> Iterator[NDArray[np.generic]]:
 def read_labels_of_map(
     collection: MapCollection, field: str, dynamic: Sequence[range], unlabelled: Sequence[range]
 ) -> RowValues:
-    """Return the labels that a map carries in one of its fields.
-
-    Raises
-    ------
-    MapFormatError
-        When a file of the map has no such field of numbers.
-    """
+    """Return the labels that a map carries in one of its fields, which holds numbers."""
     for path in collection.paths:
         next(field_values(path, field), None)  # so that a field that is missing is named now
     return RowValues(

@@ -42,11 +42,6 @@ def decision_counts(
         True negatives, true positives, false positives, false negatives; row 0 has the least y.
     extent : tuple of float
         Left, right, bottom and top edge, in the map's units.
-
-    Raises
-    ------
-    EvaluationError
-        When no point is labelled.
     """
     known = scored.choose(Truth.STATIC, Truth.DYNAMIC)
     if not len(known):
@@ -64,9 +59,9 @@ def decision_counts(
         decision = np.select([moved & removed, removed, moved], [1, 2, 3], 0)
         flat = (decision * height + line) * width + column
         counts += np.bincount(flat, minlength=counts.size)
-    edges = (low[0], low[0] + width * size, low[1], low[1] + height * size)
-    left, right, bottom, top = (float(edge) for edge in edges)
-    return counts.reshape(4, height, width), (left, right, bottom, top)
+    left, bottom = low.tolist()
+    extent = (left, left + width * size, bottom, bottom + height * size)
+    return counts.reshape(4, height, width), extent
 
 
 def colour_pixels(counts: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -102,17 +97,12 @@ def draw_picture(scored: TiledCloud, path: Path, observer: Observer) -> None:
     known = len(scored.choose(Truth.STATIC, Truth.DYNAMIC))
     observer.stage("picture", known)
     pixels = min(max(math.isqrt(known), LEAST_PIXELS), MOST_PIXELS)
-    counts, extent = decision_counts(scored, pixels)
-    left, right, bottom, top = extent
-    longest = max(right - left, top - bottom)
-    figure = mpl.figure.Figure(
-        figsize=(2 + 12 * (right - left) / longest, 2 + 12 * (top - bottom) / longest),
-        layout="constrained",
-    )
+    counts, (left, right, bottom, top) = decision_counts(scored, pixels)
+    sides = np.array([right - left, top - bottom])
+    figure = mpl.figure.Figure(figsize=2 + 12 * sides / sides.max(), layout="constrained")
     axes = figure.add_subplot()
-    axes.imshow(
-        colour_pixels(counts), origin="lower", extent=extent, interpolation="nearest", aspect=1
-    )
+    extent, image = (left, right, bottom, top), colour_pixels(counts)
+    axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", aspect=1)
     axes.set_xlabel("x, m")
     axes.set_ylabel("y, m")
     axes.ticklabel_format(useOffset=False, style="plain")

@@ -1,9 +1,10 @@
 """One evaluation from files to files: its report as JSON, and as a table for people."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -11,11 +12,9 @@ from pydantic import BaseModel, SkipValidation
 from rich.table import Table
 
 from pipeline.errors import ConfigurationError
-from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics
-from pipeline.evaluation.earth_mover import EarthMoversDistance
+from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics, EarthMoversDistance
 from pipeline.evaluation.evaluate import Figures, evaluate
-from pipeline.evaluation.inputs import EvaluationInputs, find_inputs
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions, find_inputs
 from pipeline.evaluation.scoring import Confusion, DynamicMapAccuracy, Preservation
 from pipeline.plan.machine import peak_memory
 from pipeline.progress import StageObserver, watching
@@ -25,6 +24,46 @@ from tiling.collection import MapCollection
 
 Row = tuple[str, str, str]
 """A figure's name, its value, and its unit or what it is of."""
+
+
+# Names of figures, where they are in the report, and their units.
+_DISTANCES: Sequence[Row] = (
+    ("MAE", "distances.mean_absolute_error", "m"),
+    ("variance", "distances.variance", "m²"),
+    ("RMSE", "distances.root_mean_square_error", "m"),
+    ("90th percentile", "distances.percentile_90", "m"),
+    ("largest", "distances.largest", "m"),
+    ("Chamfer, squared", "chamfer.squared", "m²"),
+    ("  cleaned to truth", "chamfer.cleaned_to_truth.squared", "m²"),
+    ("  truth to cleaned", "chamfer.truth_to_cleaned.squared", "m²"),
+    ("Chamfer, unsquared", "chamfer.unsquared", "m"),
+    ("  cleaned to truth", "chamfer.cleaned_to_truth.unsquared", "m"),
+    ("  truth to cleaned", "chamfer.truth_to_cleaned.unsquared", "m"),
+)
+_CONFUSION: Sequence[Row] = (
+    ("TP, moved and removed", "confusion.true_positives", "points"),
+    ("FP, static but removed", "confusion.false_positives", "points"),
+    ("FN, moved but kept", "confusion.false_negatives", "points"),
+    ("TN, static and kept", "confusion.true_negatives", "points"),
+    ("FP", "confusion.false_positive_percent", "% of the static points"),
+    ("FN", "confusion.false_negative_percent", "% of the points that moved"),
+    ("precision", "confusion.precision", "% of the removed points"),
+    ("recall", "confusion.recall", "% of the points that moved"),
+    ("F1", "confusion.f1", "%"),
+)
+_ACCURACY: Sequence[Row] = (
+    ("SA", "accuracy.static_accuracy", "%"),
+    ("DA", "accuracy.dynamic_accuracy", "%"),
+    ("AA", "accuracy.associated_accuracy", "%"),
+    ("HA", "accuracy.harmonic_accuracy", "%"),
+    ("matched within", "accuracy.match_distance", "m"),
+)
+_PRESERVATION: Sequence[Row] = (
+    ("preservation rate", "preservation.preservation_rate", "%"),
+    ("rejection rate", "preservation.rejection_rate", "%"),
+    ("F1", "preservation.f1", "%"),
+    ("voxels", "preservation.voxel", "m"),
+)
 
 
 class MapFiles(BaseModel):
@@ -54,9 +93,9 @@ class EvaluationReport(BaseModel, frozen=True):
     distances: DistanceStatistics
     chamfer: ChamferDistance
     earth_mover: EarthMoversDistance | None
-    confusion: Confusion | None
-    accuracy: DynamicMapAccuracy | None
-    preservation: Preservation | None
+    confusion: Confusion | None = None
+    accuracy: DynamicMapAccuracy | None = None
+    preservation: Preservation | None = None
     """The figures; None where they were not asked for, or need an original map."""
     seconds: dict[str, float]
     """Wall time of each stage."""
@@ -74,7 +113,6 @@ class EvaluationReport(BaseModel, frozen=True):
         observer: StageObserver,
     ) -> "EvaluationReport":
         """Gather the report of a finished evaluation."""
-        geometry, scores = figures.geometry, figures.scores
         return cls(
             version=version("dynahull-pipeline"),
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -82,12 +120,8 @@ class EvaluationReport(BaseModel, frozen=True):
             truth=truth,
             original=MapFiles.of(inputs.original) if inputs.original else None,
             options=options,
-            distances=geometry.distances,
-            chamfer=geometry.chamfer,
-            earth_mover=geometry.earth_mover,
-            confusion=scores.confusion if scores else None,
-            accuracy=scores.accuracy if scores else None,
-            preservation=scores.preservation if scores else None,
+            **figures.geometry._asdict(),
+            **(figures.scores._asdict() if figures.scores else {}),
             seconds={stage: round(seconds, 3) for stage, seconds in observer.seconds.items()},
             peak_memory_bytes=peak_memory(),
             warnings=observer.warnings,
@@ -103,79 +137,48 @@ class EvaluationReport(BaseModel, frozen=True):
         table.add_column(no_wrap=True)
         table.add_column(justify="right", no_wrap=True)
         table.add_column(no_wrap=True)
-        sections = [("to the nearest point", _distance_rows(self))]
-        if self.earth_mover:
-            sections.append(("Earth Mover's Distance", _transport_rows(self.earth_mover)))
-        if self.confusion:
-            sections.append(("points removed", _confusion_rows(self.confusion)))
-        if self.accuracy:
-            sections.append(("DynamicMap benchmark", _accuracy_rows(self.accuracy)))
-        if self.preservation:
-            sections.append(("ERASOR", _preservation_rows(self.preservation)))
+        sections = (
+            ("to the nearest point", _rows(self, _DISTANCES)),
+            ("Earth Mover's Distance", _transport_rows(self.earth_mover)),
+            ("points removed", _rows(self, _CONFUSION)),
+            ("DynamicMap benchmark", _rows(self, _ACCURACY)),
+            ("ERASOR", _rows(self, _PRESERVATION)),
+        )
         for title, rows in sections:
-            table.add_section()
-            table.add_row(title, style="bold")
+            if rows:
+                table.add_section()
+                table.add_row(title, style="bold")
             for row in rows:
                 table.add_row(*row)
         return table
 
 
-def _distance_rows(report: EvaluationReport) -> Iterator[Row]:
-    distances, chamfer = report.distances, report.chamfer
-    yield "MAE", _metres(distances.mean_absolute_error), "m"
-    yield "variance", _metres(distances.variance), "m²"
-    yield "RMSE", _metres(distances.root_mean_square_error), "m"
-    yield "90th percentile", _metres(distances.percentile_90), "m"
-    yield "largest", _metres(distances.largest), "m"
-    yield "Chamfer, squared", _metres(chamfer.squared), "m²"
-    yield "  cleaned to truth", _metres(chamfer.cleaned_to_truth.squared), "m²"
-    yield "  truth to cleaned", _metres(chamfer.truth_to_cleaned.squared), "m²"
-    yield "Chamfer, unsquared", _metres(chamfer.unsquared), "m"
-    yield "  cleaned to truth", _metres(chamfer.cleaned_to_truth.unsquared), "m"
-    yield "  truth to cleaned", _metres(chamfer.truth_to_cleaned.unsquared), "m"
+def _rows(report: EvaluationReport, figures: Sequence[Row]) -> list[Row]:
+    """Write the figures of a family; none where the report has none of it."""
+    if attrgetter(figures[0][1].partition(".")[0])(report) is None:
+        return []
+    return [(name, _text(attrgetter(place)(report), unit), unit) for name, place, unit in figures]
 
 
-def _transport_rows(moved: EarthMoversDistance) -> Iterator[Row]:
+def _transport_rows(moved: EarthMoversDistance | None) -> list[Row]:
+    if moved is None:
+        return []
     unit = "m" if moved.ground_cost == "euclidean" else "m²"
-    yield "EMD", _metres(moved.distance), unit
-    yield "two samples of the truth", _metres(moved.sampling_floor), unit
-    yield "points of the samples", f"{moved.cleaned_points:,}, {moved.truth_points:,}", ""
-    yield "ground cost", moved.ground_cost, f"seed {moved.seed}"
+    return [
+        ("EMD", _text(moved.distance, unit), unit),
+        ("two samples of the truth", _text(moved.sampling_floor, unit), unit),
+        ("points of the samples", f"{moved.cleaned_points:,}, {moved.truth_points:,}", ""),
+        ("ground cost", moved.ground_cost, f"seed {moved.seed}"),
+    ]
 
 
-def _confusion_rows(counts: Confusion) -> Iterator[Row]:
-    yield "TP, moved and removed", f"{counts.true_positives:,}", "points"
-    yield "FP, static but removed", f"{counts.false_positives:,}", "points"
-    yield "FN, moved but kept", f"{counts.false_negatives:,}", "points"
-    yield "TN, static and kept", f"{counts.true_negatives:,}", "points"
-    yield "FP", _percent(counts.false_positive_percent), "% of the static points"
-    yield "FN", _percent(counts.false_negative_percent), "% of the points that moved"
-    yield "precision", _percent(counts.precision), "% of the removed points"
-    yield "recall", _percent(counts.recall), "% of the points that moved"
-    yield "F1", _percent(counts.f1), "%"
-
-
-def _accuracy_rows(accuracy: DynamicMapAccuracy) -> Iterator[Row]:
-    yield "SA", _percent(accuracy.static_accuracy), "%"
-    yield "DA", _percent(accuracy.dynamic_accuracy), "%"
-    yield "AA", _percent(accuracy.associated_accuracy), "%"
-    yield "HA", _percent(accuracy.harmonic_accuracy), "%"
-    yield "matched within", f"{accuracy.match_distance:g}", "m"
-
-
-def _preservation_rows(rates: Preservation) -> Iterator[Row]:
-    yield "preservation rate", _percent(rates.preservation_rate), "%"
-    yield "rejection rate", _percent(rates.rejection_rate), "%"
-    yield "F1", _percent(rates.f1), "%"
-    yield "voxels", f"{rates.voxel:g}", "m"
-
-
-def _metres(value: float) -> str:
-    return f"{value:.6g}"
-
-
-def _percent(value: float | None) -> str:
-    return "undefined" if value is None else f"{value:.2f}"
+def _text(value: float | None, unit: str) -> str:
+    """Write a figure as its unit asks: counts whole, percentages with two places."""
+    if value is None:
+        return "undefined"
+    if unit == "points":
+        return f"{value:,}"
+    return f"{value:.2f}" if unit.startswith("%") else f"{value:.6g}"
 
 
 def evaluate_files(

@@ -2,17 +2,16 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from dynahull.progress import Observer
+from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.labels import Labels, Truth
-from pipeline.evaluation.options import EvaluationOptions
 from pipeline.evaluation.tiled_cloud import (
     TiledCloud,
     distance_apart,
@@ -81,13 +80,13 @@ class Confusion(BaseModel, frozen=True):
 
     def summary(self) -> str:
         """Return the two shares that say most, in words."""
-        shares = [
+        precision, recall = (
             "undefined" if value is None else f"{value:.1f} %"
             for value in (self.precision, self.recall)
-        ]
+        )
         return (
-            f"precision {shares[0]} (of what was removed, what had moved), "
-            f"recall {shares[1]} (of what had moved, what was removed)"
+            f"precision {precision} (of what was removed, what had moved), "
+            f"recall {recall} (of what had moved, what was removed)"
         )
 
     @classmethod
@@ -189,17 +188,8 @@ class Preservation(BaseModel, frozen=True):
 def voxel_means(points: NDArray[np.float64], voxel: float) -> NDArray[np.float64]:
     """Return the mean of the points in each voxel, as PCL's `VoxelGrid` does.
 
-    The voxels' corners are whole multiples of their edge, in metres.
-
-    Parameters
-    ----------
-    points : (n, 3) float64 array
-        All points of each of their voxels.
-
-    Returns
-    -------
-    (m, 3) float64 array
-        In the order of the voxels; the order of the points does not change a bit.
+    The voxels' corners are whole multiples of their edge, in metres. Of (n, 3) points, all of each
+    of their voxels, they are (m, 3), by voxel; the order of the points does not change a bit.
     """
     if not len(points):
         return points
@@ -235,12 +225,9 @@ def _labelled_means(
     cloud: TiledCloud, voxel: float, stage: str, observer: Observer
 ) -> Iterator[tuple[int, NDArray[np.float64], Labels]]:
     """Yield tile by tile the means of the voxels, each with the label of the nearest point."""
-    observer.stage(stage, len(cloud))
-    for tile, count in enumerate(cloud.counts.tolist()):
-        if count:
-            means = voxel_means(cloud.xyz(tile), voxel)
-            yield tile, means, find_nearest(means, cloud).labels
-            observer.advance(count)
+    for tile in cloud.watched_tiles(stage, observer):
+        means = voxel_means(cloud.xyz(tile), voxel)
+        yield tile, means, find_nearest(means, cloud).labels
 
 
 _LEAST_OF_TRUTH = 0.5
@@ -250,8 +237,7 @@ _LEAST_OF_CLEANED = 0.99
 """Share of the cleaned map below which a warning is due: all of it should be in the original."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scores:
+class Scores(NamedTuple):
     """The figures that count points and voxels."""
 
     confusion: Confusion

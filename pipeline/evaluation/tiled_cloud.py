@@ -50,11 +50,6 @@ _COLUMNS: dict[str, Any] = {
 class TiledCloud:
     """The finite points of a map, or those of some labels: a file for each column of a tile.
 
-    Parameters
-    ----------
-    name : str
-        What to call it in messages.
-
     Attributes
     ----------
     low, high : (T, 3) float64 arrays
@@ -88,6 +83,14 @@ class TiledCloud:
     def tiles(self) -> Iterator[int]:
         """Yield the tiles that have points."""
         yield from np.flatnonzero(self.counts).tolist()
+
+    def watched_tiles(self, stage: str, observer: Observer) -> Iterator[int]:
+        """Yield the tiles that have points, and tell of the progress."""
+        counts = self.counts
+        observer.stage(stage, int(counts.sum()))
+        for tile in np.flatnonzero(counts).tolist():
+            yield tile
+            observer.advance(int(counts[tile]))
 
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and the highest coordinates of all tiles that have points, (3,)."""
@@ -183,15 +186,7 @@ class CloudSource:
 def cut_clouds(
     sources: dict[str, CloudSource], voxel: float, folder: Path, observer: Observer
 ) -> dict[str, TiledCloud]:
-    """Cut maps into the same tiles, of whole voxels, into files in a folder.
-
-    Raises
-    ------
-    EvaluationError
-        When a map has not a single finite point.
-    MapFormatError
-        When a file is not what its header announced.
-    """
+    """Cut maps, which have a finite point each, into the same tiles, of whole voxels."""
     total = sum(source.collection.point_count for source in sources.values())
     observer.stage("survey", total)
     surveys = (survey_batches(_middles(each, voxel, observer)) for each in sources.values())
@@ -306,8 +301,5 @@ def look_up(
     cloud: TiledCloud, other: TiledCloud, observer: Observer, stage: str, at_most: float = np.inf
 ) -> Iterator[tuple[int, Nearest]]:
     """Look up every point of a cloud in another; yield what is nearest to each tile's points."""
-    observer.stage(stage, len(cloud))
-    for tile, count in enumerate(cloud.counts.tolist()):
-        if count:
-            yield tile, find_nearest(cloud.xyz(tile), other, at_most)
-            observer.advance(count)
+    for tile in cloud.watched_tiles(stage, observer):
+        yield tile, find_nearest(cloud.xyz(tile), other, at_most)

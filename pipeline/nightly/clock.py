@@ -50,10 +50,6 @@ class NightEnd:
         """Tell whether the night is over."""
         return self.reason() is not None
 
-    def signalled(self) -> None:
-        """End the night."""
-        self._signalled = True
-
     def sleep(self, seconds: float) -> None:
         """Let time pass, but not beyond the end of the night."""
         until = self._clock.monotonic() + seconds
@@ -63,12 +59,16 @@ class NightEnd:
     @contextmanager
     def listening(self) -> Iterator[None]:
         """Take SIGTERM, SIGINT and SIGHUP for the end of the night."""
+
+        def end(*_: object) -> None:
+            self._signalled = True
+
         earlier = {}
         for name in _SIGNALS:
             number = getattr(signal, name, None)
             # What is ignored stays so: nohup.
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                earlier[number] = signal.signal(number, lambda *_: self.signalled())
+                earlier[number] = signal.signal(number, end)
         try:
             yield
         finally:

@@ -54,10 +54,7 @@ def user_name() -> str:
 
 
 def nightly_call(source: Path, given: Sequence[str] = ()) -> list[str]:
-    """Return the words that start the night of a YAML file, wherever they are called from.
-
-    Settings are `key=value`, as given to `--set`.
-    """
+    """Return the words that start the night of a YAML file, with settings, from anywhere."""
     # The name a virtual environment gives it, not what that is a link to.
     script = Path(sys.executable).with_name("dynahull-pipeline")
     program = [str(script)] if script.is_file() else [sys.executable, "-P", "-m", "pipeline"]
@@ -78,10 +75,8 @@ def crontab_line(settings: NightlySettings, source: Path, given: Sequence[str] =
     command = (
         f"mkdir -p {output} && {{ {call} >> {log} 2>&1 || "
         f'echo "dynahull-pipeline nightly: exit code $?," {index}; }}'
-    )
-    # To cron, % is the end of the command.
-    escaped = command.replace("%", "\\%")
-    return f"{minute} {hour} * * * {escaped}"
+    ).replace("%", "\\%")  # to cron, % is the end of the command
+    return f"{minute} {hour} * * * {command}"
 
 
 def systemd_service(source: Path, given: Sequence[str] = ()) -> str:
@@ -89,25 +84,15 @@ def systemd_service(source: Path, given: Sequence[str] = ()) -> str:
     program, *arguments = nightly_call(source, given)
     # In arguments, and only there, $ begins the name of a variable.
     words = [program, *(word.replace("$", "$$") for word in arguments)]
-    command = " ".join(_systemd_word(word) for word in words)
+    command = " ".join(map(_systemd_word, words))
     return _SERVICE.format(user=user_name(), command=command)
 
 
-def systemd_timer(settings: NightlySettings) -> str:
-    """Return the timer unit."""
-    hour, minute = (int(part) for part in settings.at.split(":"))
-    return _TIMER.format(at=f"{hour:02d}:{minute:02d}")
-
-
 def install_text(settings: NightlySettings, source: Path, given: Sequence[str] = ()) -> str:
-    """Return all that `--schedule` prints of a YAML file and settings; nothing is installed by it.
-
-    Raises
-    ------
-    ConfigurationError
-        When a path or a setting holds what a line cannot.
-    """
-    _refuse_line_breaks([str(source.absolute()), str(settings.output), sys.executable, *given])
+    """Return all that `--schedule` prints of a YAML file; nothing is installed by it."""
+    for word in (str(source.absolute()), str(settings.output), sys.executable, *given):
+        if not word.isprintable():
+            raise ConfigurationError(f"{word!r}: expected printable characters in one line")
     return "\n".join(
         [
             "# For cron: this line, by `crontab -e`.",
@@ -117,7 +102,7 @@ def install_text(settings: NightlySettings, source: Path, given: Sequence[str] =
             f"# ---- {_UNIT}.service",
             systemd_service(source, given),
             f"# ---- {_UNIT}.timer",
-            systemd_timer(settings),
+            _TIMER.format(at=settings.at.zfill(5)),
             f"# and then: systemctl daemon-reload && systemctl enable --now {_UNIT}.timer",
         ]
     )
@@ -127,9 +112,3 @@ def _systemd_word(word: str) -> str:
     """Quote a word as systemd.service(5) reads it: backslash and " escaped, % doubled."""
     word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     return f'"{word}"'
-
-
-def _refuse_line_breaks(words: Sequence[str]) -> None:
-    for word in words:
-        if not word.isprintable():
-            raise ConfigurationError(f"{word!r}: expected printable characters in one line")

@@ -9,9 +9,10 @@ import glob
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 from pipeline.configuration.run import Configuration
 from pipeline.nightly.journal import Fingerprint, MapRecord
@@ -25,6 +26,8 @@ from tiling.key_frames import pose_files
 
 _COARSEST_TIME = 2.0
 """Seconds between two changes of a file that its dates tell apart on any file system (FAT)."""
+
+_DAY = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,43 +46,27 @@ class FoundMap:
     """What the poses of its files are read from, where they are scans."""
 
     def states(self) -> Fingerprint:
-        """Return the states of all files that it is read from.
-
-        Raises
-        ------
-        OSError
-            When one is gone.
-        """
-        every = [(path.name, path.stat()) for path in (*self.files, *self.poses)]
+        """Return the states of all files it is read from; one that is gone is an `OSError`."""
+        every = ((path.name, path.stat()) for path in (*self.files, *self.poses))
         return tuple(
             (name, state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
             for name, state in every
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """An input that could not be looked at."""
+class Problem(NamedTuple):
+    """What should be there and could not be looked at, and why, in one line."""
 
     root: Path
-    """What should be there."""
     message: str
-    """In one line."""
 
 
 def find_maps(
     settings: NightlySettings, configurations: Sequence[Configuration]
 ) -> tuple[list[FoundMap], list[Problem]]:
-    """Find all maps of all inputs; what lies in the output folder is none.
+    """Find all maps of all inputs, each of which has one configuration, by name within an input.
 
-    A map whose files all belong to maps found before is none either. Each input has one
-    configuration.
-
-    Returns
-    -------
-    maps : list of FoundMap
-        In the order of the inputs, and within one by name.
-    problems : list of Problem
+    What lies in the output folder is none, nor is one whose files all belong to maps found before.
     """
     maps: list[FoundMap] = []
     problems = []
@@ -91,19 +78,15 @@ def find_maps(
                 problems.append(each)
                 continue
             path, files = each
-            place = path.resolve()
             own = {file.resolve() for file in files}
-            if own <= taken or place == output or output in place.parents:
+            if own <= taken or path.resolve().is_relative_to(output):
                 continue
             if not is_text(path):
                 problems.append(Problem(given.root, f"{path}: its name is not UTF-8"))
                 continue
             if not lie_within(given.root, files):
-                problems.append(
-                    Problem(
-                        given.root, f"{path}: a link out of {given.root}, which is not followed"
-                    )
-                )
+                message = f"{path}: a link out of {given.root}, which is not followed"
+                problems.append(Problem(given.root, message))
                 continue
             told = configuration.input.poses
             poses = pose_files(files, None if told is None else Path(told))
@@ -190,60 +173,18 @@ def lie_within(root: Path, files: Iterable[Path]) -> bool:
     return all(file.resolve().is_relative_to(root) for file in files)
 
 
-def last_change(states: Fingerprint, now: float, seen_since: float | None = None) -> float:
+def last_change(states: Fingerprint, now: float) -> float:
     """Return when a map was last written to, seconds since 1970.
 
     Of its files the last one; of a file the later of its two dates, since a copy that keeps dates
-    sets the first one back. Dates in the future, by a clock that is or was wrong, are none; of a
-    file without any other, it is since when the map is known to be as it is.
+    sets the first one back. A date more than a day ahead, by a clock that was wrong, is none; a
+    file without any other is old.
     """
-    otherwise = now if seen_since is None else min(seen_since, now)
-    return max(max(dates, default=otherwise) for dates in _past_dates(states, now))
+    dates = [(state[2] / 1e9, state[3] / 1e9) for state in states]
+    return max(max((d for d in of_file if d <= now + _DAY), default=0.0) for of_file in dates)
 
 
-def lacks_dates(states: Fingerprint, now: float) -> bool:
-    """Tell whether a map has a file both of whose dates are in the future."""
-    return not all(_past_dates(states, now))
-
-
-def _past_dates(states: Fingerprint, now: float) -> list[list[float]]:
-    dates = [[state[2] / 1e9, state[3] / 1e9] for state in states]
-    return [[date for date in of_file if date <= now] for of_file in dates]
-
-
-def trusted_content(record: MapRecord, states: Fingerprint) -> str | None:
-    """Return the content of a map without reading it, None where it must be read."""
-    return record.content if record.content and record.fingerprint == states else None
-
-
-def learn_content(
-    found: FoundMap, record: MapRecord, now: Callable[[], float], advance: Callable[[int], None]
-) -> bool:
-    """Hash a map and remember its content; return whether it did not change meanwhile.
-
-    Parameters
-    ----------
-    advance : callable
-        Told of the bytes hashed; what it raises ends the hashing.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read, or is gone.
-    """
-    begun, before = now(), found.states()
-    content = content_hash(found.files, advance)
-    poses = content_hash(found.poses, advance) if found.poses else ""
-    if found.states() != before:
-        return False
-    record.content, record.poses = content, poses
-    # A change right after this one might leave the same dates: look again the next time.
-    recent = begun - last_change(before, begun) < _COARSEST_TIME
-    record.fingerprint = () if recent else before
-    return True
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Candidate:
     """A map that is there, and what is known of it."""
 
@@ -252,17 +193,13 @@ class Candidate:
     """Its files, when it was looked at."""
     record: MapRecord
     folder: MapFolder
-    is_read: bool = False
-    """Whether its content was read since it was looked at."""
+    content: str | None = field(init=False)
+    """SHA-256 of its bytes, None where they must be read to know it."""
 
-    def of_content(self) -> "Candidate":
-        """Return the map as one whose content was read just now."""
-        return replace(self, is_read=True)
-
-    def last_change(self, now: float) -> float:
-        """Return when the map was last written to, seconds since 1970."""
-        known = self.record.seen == self.states
-        return last_change(self.states, now, self.record.seen_since if known else None)
+    def __post_init__(self) -> None:
+        """Trust the record where the files are what they were."""
+        record = self.record
+        self.content = record.content if record.fingerprint == self.states else None
 
     def is_as_seen(self) -> bool:
         """Tell whether its files still are what they were when it was looked at."""
@@ -270,11 +207,6 @@ class Candidate:
             return self.found.states() == self.states
         except OSError:
             return False
-
-    @property
-    def content(self) -> str | None:
-        """SHA-256 of its bytes, None where they must be read to know it."""
-        return self.record.content if self.is_read else trusted_content(self.record, self.states)
 
     @property
     def key(self) -> str:
@@ -285,9 +217,31 @@ class Candidate:
         return result_key(self.content, found.files, found.configuration, poses)
 
 
+def learn_content(
+    candidate: Candidate, now: Callable[[], float], advance: Callable[[int], None]
+) -> bool:
+    """Hash a map and remember its content; return whether it did not change meanwhile.
+
+    A file that cannot be read, or is gone, is an `OSError`. `advance` is told of the bytes hashed;
+    what it raises ends the hashing.
+    """
+    found, record = candidate.found, candidate.record
+    begun, before = now(), found.states()
+    content = content_hash(found.files, advance)
+    poses = content_hash(found.poses, advance) if found.poses else ""
+    if found.states() != before:
+        return False
+    candidate.content = record.content = content
+    record.poses = poses
+    # A change right after this one might leave the same dates: look again the next time.
+    recent = begun - last_change(before, begun) < _COARSEST_TIME
+    record.fingerprint = () if recent else before
+    return True
+
+
 def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapOutcome | None:
     """Return why a map is not to be cleaned now, None if it is."""
-    if now - candidate.last_change(now) < settings.settle:
+    if now - last_change(candidate.states, now) < settings.settle:
         return MapOutcome.WAITING
     if candidate.folder.result(candidate.key) is not None:
         return MapOutcome.UNCHANGED
@@ -298,10 +252,8 @@ def verdict(candidate: Candidate, settings: NightlySettings, now: float) -> MapO
 
 def failures(candidate: Candidate) -> int:
     """Count the nights that a map failed as it is, by this version of the product."""
-    failure = candidate.record.failure
-    if failure is None or failure.key != candidate.key:
-        return 0
-    return failure.attempts if failure.version == version("dynahull-pipeline") else 0
+    failure, now = candidate.record.failure, (candidate.key, version("dynahull-pipeline"))
+    return failure.attempts if failure and (failure.key, failure.version) == now else 0
 
 
 def in_turn(candidates: Iterable[Candidate]) -> list[Candidate]:

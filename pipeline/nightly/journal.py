@@ -1,16 +1,15 @@
 """What nights know of each other: one small file, replaced as a whole by every change."""
 
 from pathlib import Path
+from typing import Literal
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from dynahull.parameters import validation_message
 from pipeline.errors import NightlyError
 from tiling.atomic import atomic_file
 
 JOURNAL_FILE = "journal.json"
-
-_FORMAT = 1
 
 FileState = tuple[str, int, int, int, int]
 """Name, bytes, times of the last change of content and of inode (ns), and number of the inode."""
@@ -29,20 +28,17 @@ class Attempt(BaseModel, extra="forbid"):
 
 
 class Failure(BaseModel, extra="forbid"):
-    """Why a map failed, and how often."""
+    """In how many nights a map failed, and the last reason, in one line."""
 
     key: str
-    """What failed: hash of content and configuration, or of the states of files that cannot be
-    read."""
+    """What failed: `Candidate.key`."""
     version: str
     """Of the product."""
     attempts: int
-    """Nights that it failed."""
     reason: str
-    """The last one, in one line."""
 
 
-class MapRecord(BaseModel, extra="forbid"):
+class MapRecord(BaseModel):  # what earlier versions noted beside is passed over
     """What is known of one map; results are not recorded, since they are there to be seen."""
 
     first_seen: float
@@ -59,33 +55,25 @@ class MapRecord(BaseModel, extra="forbid"):
     """Whether the last attempt was cut off without a step further: others go first then."""
     vanished: bool = False
     """Whether the files were gone when last looked for."""
-    seen: Fingerprint = ()
-    """Of files whose dates are in the future: as they were when last looked at."""
-    seen_since: float = 0.0
-    """Since when they have been so, seconds since 1970."""
 
 
 class _Stored(BaseModel, extra="forbid"):
-    format: int = Field(_FORMAT, ge=_FORMAT, le=_FORMAT)
+    format: Literal[1] = 1
     maps: dict[str, MapRecord] = {}
 
 
 class Journal:
-    """The records of all maps ever seen, by absolute path.
+    """`maps`: the records of all maps ever seen, by absolute path, to be changed and saved.
 
-    Raises
-    ------
-    NightlyError
-        When there is a journal that cannot be read. Without one, finished results are found all
-        the same.
+    A journal that cannot be read is a `NightlyError`; without one, results are found all the same.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / JOURNAL_FILE
         try:
-            self._stored = _Stored.model_validate_json(self._path.read_bytes())
+            self.maps = _Stored.model_validate_json(self._path.read_bytes()).maps
         except FileNotFoundError:
-            self._stored = _Stored()
+            self.maps = {}
         except ValidationError as error:
             raise NightlyError(
                 f"{self._path}: expected a journal of this version, found "
@@ -93,16 +81,7 @@ class Journal:
                 "are found all the same"
             ) from None
 
-    @property
-    def maps(self) -> dict[str, MapRecord]:
-        """The records, to be changed in place and saved."""
-        return self._stored.maps
-
-    def record(self, path: Path, now: float) -> MapRecord:
-        """Return the record of a map, a new one where there is none."""
-        return self.maps.setdefault(str(path), MapRecord(first_seen=now))
-
     def save(self) -> None:
         """Replace the journal on the disk."""
         with atomic_file(self._path) as temporary:
-            temporary.write_text(self._stored.model_dump_json(), encoding="utf-8")
+            temporary.write_text(_Stored(maps=self.maps).model_dump_json(), encoding="utf-8")

@@ -15,9 +15,10 @@ from pipeline.nightly.clock import Clock, NightEnd
 from pipeline.nightly.inventory import (
     Candidate,
     Problem,
+    failures,
     find_maps,
     in_turn,
-    lacks_dates,
+    last_change,
     learn_content,
     verdict,
 )
@@ -51,9 +52,6 @@ STATE_FOLDER = ".nightly"
 
 _LONGEST_SLEEP = 30.0
 """Seconds between two looks at maps that are being written."""
-
-_ORPHAN_GRACE = 60.0
-"""Seconds that what a killed night left running has to notice it."""
 
 logger = logging.getLogger("dynahull")
 
@@ -112,7 +110,7 @@ class _Night:
         self.configurations = [self.settings.configuration_of(each) for each in inputs]
         self.minutes = Minutes(self.settings.output, self.clock)
         self.problems: list[Problem] = []
-        self.tried: set[tuple[Path, str]] = set()
+        self.tried: set[tuple[Path, Fingerprint]] = set()
         self.runs_begun = 0
         self.waited = 0.0
 
@@ -129,9 +127,9 @@ class _Night:
             if record.attempt is None:
                 continue
             run = folder.path / record.attempt.run
-            if not self.comes_free(run):
+            if run.is_dir() and folder_is_locked(run):
                 continue
-            if self.is_of_content(run, record):
+            if is_of_content(run, record):
                 remove_finished_work(run)
                 folder.point_latest(run)
                 self.minutes.cleaned_earlier(Path(path), run)
@@ -157,10 +155,10 @@ class _Night:
             except OSError as error:
                 self.minutes.problems([f"{error.filename}: {error.strerror}"])
                 continue
-            record = self.journal.record(each.path, self.clock.now())
+            new = MapRecord(first_seen=self.clock.now())
+            record = self.journal.maps.setdefault(str(each.path), new)
             record.vanished = False
-            note_states(record, states, self.clock.now())
-            candidates.append(Candidate(each, states, record, self.folder_of(each.path)))
+            candidates.append(Candidate(each, states, record, MapFolder(place)))
         self.note_vanished({str(each.path) for each in found})
         self.journal.save()
         return candidates
@@ -178,7 +176,7 @@ class _Night:
         waiting = [
             each
             for each in candidates
-            if self.verdict(each) is None and (each.found.path, each.key) not in self.tried
+            if self.verdict(each) is None and (each.found.path, each.states) not in self.tried
         ]
         return in_turn(waiting)
 
@@ -194,7 +192,7 @@ class _Night:
         outcome, reason = self.try_to_clean(candidate)
         if outcome is None:
             return
-        self.tried.add((candidate.found.path, candidate.key))
+        self.tried.add((candidate.found.path, candidate.states))
         record = candidate.record
         self.minutes.say(
             candidate.found.path,
@@ -210,18 +208,17 @@ class _Night:
 
     def try_to_clean(self, candidate: Candidate) -> tuple[MapOutcome | None, str | None]:
         """Return what became of a map, and why; None where the end of the night came first."""
-        found, record = candidate.found, candidate.record
         try:
             known = candidate.content is not None or learn_content(
-                found, record, self.clock.now, self.stop_hashing
+                candidate, self.clock.now, self.stop_hashing
             )
         except _NightOverError:
             return None, None
         except OSError as error:
-            return self.failed(candidate, f"{error.filename or found.path}: {error.strerror}")
+            place = error.filename or candidate.found.path
+            return self.failed(candidate, f"{place}: {error.strerror}")
         if not known:
             return MapOutcome.WAITING, "it changed while it was read"
-        candidate = candidate.of_content()
         settled = self.verdict(candidate)
         if settled is not None:
             if result := candidate.folder.result(candidate.key):
@@ -242,7 +239,7 @@ class _Night:
         """Run a map, with the journal knowing before and after."""
         folder, record, found = candidate.folder, candidate.record, candidate.found
         run = folder.of_key(candidate.key) or folder.new(candidate.key, self.clock.now())
-        if not self.comes_free(run):
+        if run.is_dir() and folder_is_locked(run):
             return MapOutcome.LEFT, "what a killed night left is still at work on it"
         for other in folder.runs():
             if other != run and not is_finished(other):
@@ -260,59 +257,43 @@ class _Night:
         record.stalled = False
         if ended.how == "cleaned":
             return self.publish(candidate, run)
-        advanced = tasks_done(run) > earlier
-        return self.put_down(candidate, ended, advanced, is_first)
-
-    def publish(self, candidate: Candidate, run: Path) -> tuple[MapOutcome, str | None]:
-        """Let `latest` point to a result, if it is that of the content it was made for."""
-        record = candidate.record
-        if not self.is_of_content(run, record):
-            # The map was replaced before the run began to read it.
-            candidate.folder.remove(run)
-            return MapOutcome.WAITING, "it changed before it was read"
-        candidate.folder.point_latest(run)
-        record.failure = None
-        return MapOutcome.CLEANED, None
+        return self.put_down(candidate, ended, tasks_done(run) > earlier, is_first)
 
     def put_down(
         self, candidate: Candidate, ended: Ended, advanced: bool, had_whole_night: bool
     ) -> tuple[MapOutcome, str | None]:
         """Judge a run that came to no result."""
-        record = candidate.record
         if not candidate.is_as_seen():
             return MapOutcome.WAITING, "it changed while it was cleaned"
         if ended.how == "no space":
             return MapOutcome.NO_SPACE, ended.reason
-        if ended.how == "stopped":
-            if had_whole_night and not advanced and self.end.reason() == "time":
-                return self.failed(candidate, "it came no step further in a whole night")
-            record.stalled = not advanced
-            return MapOutcome.STOPPED, None
-        return self.failed(candidate, ended.reason)
+        if ended.how != "stopped":
+            return self.failed(candidate, ended.reason)
+        if had_whole_night and not advanced and self.end.reason() == "time":
+            return self.failed(candidate, "it came no step further in a whole night")
+        candidate.record.stalled = not advanced
+        return MapOutcome.STOPPED, None
+
+    def publish(self, candidate: Candidate, run: Path) -> tuple[MapOutcome, str | None]:
+        """Let `latest` point to a result, if it is that of the content it was made for."""
+        if not is_of_content(run, candidate.record):
+            # The map was replaced before the run began to read it.
+            candidate.folder.remove(run)
+            return MapOutcome.WAITING, "it changed before it was read"
+        candidate.folder.point_latest(run)
+        candidate.record.failure = None
+        return MapOutcome.CLEANED, None
 
     def failed(self, candidate: Candidate, reason: str) -> tuple[MapOutcome, str]:
         """Count a failure; with the last one allowed the map is set aside."""
-        record, key, product = candidate.record, candidate.key, version("dynahull-pipeline")
-        earlier = record.failure
-        again = earlier is not None and (earlier.key, earlier.version) == (key, product)
-        attempts = earlier.attempts + 1 if earlier is not None and again else 1
-        record.failure = Failure(key=key, version=product, attempts=attempts, reason=reason)
+        key, product = candidate.key, version("dynahull-pipeline")
+        attempts = failures(candidate) + 1
+        candidate.record.failure = Failure(
+            key=key, version=product, attempts=attempts, reason=reason
+        )
         if attempts >= self.settings.attempts:
             reason += f"; set aside after {attempts} nights, until it changes"
         return MapOutcome.FAILED, reason
-
-    def is_of_content(self, run: Path, record: MapRecord) -> bool:
-        """Tell whether a run is whole, and of the content that the journal knows."""
-        return record.content is not None and run_report(run).get("input_hash") == record.content
-
-    def comes_free(self, run: Path) -> bool:
-        """Wait for what a killed night may have left at work in a folder."""
-        until = self.clock.monotonic() + _ORPHAN_GRACE
-        while run.is_dir() and folder_is_locked(run):
-            if self.end.is_over() or self.clock.monotonic() >= until:
-                return False
-            self.end.sleep(1.0)
-        return True
 
     def wait_for_writers(self, candidates: Iterable[Candidate]) -> bool:
         """Let time pass while maps are being written, where there is any; tell whether it did."""
@@ -321,7 +302,7 @@ class _Night:
         left = (self.settings.wait or 0) - self.waited
         if not open_ones or left <= 0:
             return False
-        first = min(each.last_change(now) for each in open_ones) + self.settings.settle
+        first = min(last_change(each.states, now) for each in open_ones) + self.settings.settle
         seconds = min(max(first - now, 1.0), _LONGEST_SLEEP, left)
         if not self.waited:
             logger.info("waiting for %d maps that are still being written", len(open_ones))
@@ -337,15 +318,10 @@ class _Night:
             wanted = None
             if candidate and self.verdict(candidate) is not MapOutcome.SET_ASIDE:
                 wanted = candidate.key
-            for run in remove_old_runs(
-                folder,
-                self.settings.keep,
-                self.clock.now(),
-                wanted,
-                # Of a map that is not there, or not read, nobody knows what it will be.
-                work_may_go_on=candidate is None,
-            ):
-                logger.info("removed %s", run)
+            # Of a map that is not there, or not read, nobody knows what it will be.
+            work_may_go_on = candidate is None
+            now, keep = self.clock.now(), self.settings.keep
+            remove_old_runs(folder, keep, now, wanted, work_may_go_on=work_may_go_on)
             if record.vanished and not folder.runs():
                 del self.journal.maps[path]
         self.journal.save()
@@ -369,12 +345,9 @@ class _Night:
         return MapFolder(self.settings.output / map_name(path))
 
 
-def note_states(record: MapRecord, states: Fingerprint, now: float) -> None:
-    """Remember since when a map is as it is, where the dates of its files do not tell."""
-    if not lacks_dates(states, now):
-        record.seen = ()
-    elif record.seen != states or record.seen_since > now:
-        record.seen, record.seen_since = states, now
+def is_of_content(run: Path, record: MapRecord) -> bool:
+    """Tell whether a run is whole, and of the content that the journal knows."""
+    return record.content is not None and run_report(run).get("input_hash") == record.content
 
 
 class _NightOverError(Exception):

@@ -47,23 +47,23 @@ def map_name(path: Path) -> str:
     return f"{own}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
 
 
+_UNDECISIVE: Any = {
+    "tiling": True,
+    "execution": True,
+    "cluster": True,
+    "output": {"keep_work", "keep_free", "report"},
+}
+"""Keys on which no result depends."""
+
+
 def result_key(
     content: str, files: Sequence[Path], configuration: Configuration, poses: str = ""
 ) -> str:
     """Return the hash of what decides a result: content, poses, configuration, names of several.
 
-    Not what tiles, workers and the space on the disk are like; nor the version, so that a new one
-    does not mean that all is cleaned again.
+    Not the version, so that a new one does not mean that all is cleaned again.
     """
-    decisive = configuration.model_dump(
-        mode="json",
-        exclude={
-            "tiling": True,
-            "execution": True,
-            "cluster": True,
-            "output": {"keep_work", "keep_free", "report"},
-        },
-    )
+    decisive = configuration.model_dump(mode="json", exclude=_UNDECISIVE)
     names = [path.name for path in files] if len(files) > 1 else []
     text = json.dumps([content, names, decisive, *([poses] if poses else [])], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
@@ -80,12 +80,11 @@ class MapFolder:
         """Return the folders of all runs, the oldest first."""
         if not self.path.is_dir() or self.path.is_symlink():
             return []
-        found = [
+        return sorted(
             each
             for each in self.path.iterdir()
             if _RUN_NAME.fullmatch(each.name) and each.is_dir() and not each.is_symlink()
-        ]
-        return sorted(found, key=lambda run: run.name)
+        )
 
     def finished(self) -> list[Path]:
         """Return the folders of the runs that are whole, the oldest first."""
@@ -93,14 +92,13 @@ class MapFolder:
 
     def of_key(self, key: str) -> Path | None:
         """Return the folder of a run with this key: one that is whole, or else the last."""
-        found = [run for run in self.runs() if run.name.endswith(f"-{key}")]
-        found.sort(key=lambda run: (is_finished(run), run.name))
-        return found[-1] if found else None
+        found = (run for run in self.runs() if run.name.endswith(f"-{key}"))
+        return max(found, key=lambda run: (is_finished(run), run.name), default=None)
 
     def result(self, key: str) -> Path | None:
         """Return the folder of a whole run with this key."""
         run = self.of_key(key)
-        return run if run is not None and is_finished(run) else None
+        return run if run and is_finished(run) else None
 
     def new(self, key: str, now: float) -> Path:
         """Return a folder for a run that begins now; it is not made."""
@@ -175,8 +173,7 @@ def tasks_done(run: Path) -> int:
 
 def remove_finished_work(run: Path) -> None:
     """Remove the work of a whole run that was killed before it could, unless it is to be kept."""
-    output = run_report(run).get("configuration", {}).get("output", {})
-    if not output.get("keep_work", False):
+    if not run_report(run).get("configuration", {}).get("output", {}).get("keep_work"):
         remove_work(run / WORK_FOLDER)
 
 
@@ -197,7 +194,7 @@ def report_page(run: Path) -> Path:
 
 def remove_old_runs(
     folder: MapFolder, keep: Retention, now: float, wanted: str | None, *, work_may_go_on: bool
-) -> list[Path]:
+) -> None:
     """Remove runs of a map that are neither among the last nor young, the last good one never.
 
     Parameters
@@ -207,22 +204,13 @@ def remove_old_runs(
     work_may_go_on : bool
         Whether unfinished work of another key stays for `keep.days` as well: the map is gone,
         perhaps because its disk is, and may come back.
-
-    Returns
-    -------
-    list of Path
-        What is gone.
     """
-    latest = folder.latest()
-    finished = folder.finished()
-    last = set(finished[-keep.runs :])
-    removed = []
+    stay = {folder.latest(), *folder.finished()[-keep.runs :]}
     for run in folder.runs():
         is_young = keep.days is not None and now - begun(run) <= keep.days * _DAY
-        if run == latest or run in last or (wanted is not None and run.name.endswith(wanted)):
+        if run in stay or (wanted is not None and run.name.endswith(wanted)):
             continue
         if is_young and (is_finished(run) or work_may_go_on):
             continue
         if folder.remove(run):
-            removed.append(run)
-    return removed
+            logger.info("removed %s", run)

@@ -152,7 +152,5 @@ def _place(folder: Path, configuration: str | None) -> str | None:
 
 def _pattern(folder: Path, maps: str) -> str:
     maps = str(in_home(maps))
-    if Path(maps).is_absolute():
-        return maps
-    literal = str(folder)
-    return str(Path(glob.escape(literal) if glob.has_magic(maps) else literal) / maps)
+    beside = glob.escape(str(folder)) if glob.has_magic(maps) else str(folder)
+    return str(Path(beside) / maps)

@@ -30,8 +30,6 @@ LINES_FILE = "nightly.jsonl"
 SUMMARY_FILE = "nightly.json"
 INDEX_FILE = "index.html"
 
-_EARLIER_LINES_FILE = f"{LINES_FILE}.1"
-
 EXIT_WELL = 0
 EXIT_SOME_FAILED = 4
 EXIT_LOCKED = 75
@@ -48,9 +46,6 @@ _MOST_NIGHTS = 30
 _ICON = re.compile(r'<link rel="icon" href="(data:image/png;base64,[A-Za-z0-9+/=]+)">')
 _HEAD = 100_000
 """Characters of a report within which its picture is."""
-
-_LARGEST = 32 << 20
-"""Bytes of `nightly.jsonl` before it is put aside as `nightly.jsonl.1`."""
 
 
 class MapOutcome(StrEnum):
@@ -108,11 +103,11 @@ class NightSummary(BaseModel, frozen=True):
 
     version: str
     night: str
-    finished: str | None
+    finished: str | None = None
     """Beginning and end; no end while the night lasts, or when it was killed."""
-    ended: Literal["running", "done", "time", "signal"]
-    """`done`: nothing was left to do. `time`: `stop_after`. `signal`. `running`."""
-    exit_code: int | None
+    ended: Literal["running", "done", "time", "signal"] = "running"
+    """`done`: nothing was left to do. `time`: `stop_after`."""
+    exit_code: int | None = None
     counts: dict[str, int]
     """Maps by outcome."""
     problems: list[str]
@@ -158,47 +153,21 @@ def write_index(folder: Path, summary: NightSummary) -> None:
 
 
 def refuse_to_replace(output: Path) -> None:
-    """Refuse an output folder with files that nights replace and that none of them wrote.
-
-    Raises
-    ------
-    NightlyError
-    """
-    for name, is_own in ((INDEX_FILE, _is_index), (SUMMARY_FILE, _is_summary)):
+    """Refuse an output folder with files that nights replace and that none of them wrote."""
+    for name, mark in ((INDEX_FILE, f"<title>{_INDEX_TITLE}"), (SUMMARY_FILE, '\n  "night": "20')):
         path = output / name
-        if os.path.lexists(path) and not is_own(path):
+        if os.path.lexists(path) and not _holds(path, mark):
             raise NightlyError(f"{path}: there is a file that no night wrote; use another output")
     lines = output / LINES_FILE
     if os.path.lexists(lines) and (lines.is_symlink() or not lines.is_file()):
         raise NightlyError(f"{lines}: expected a file of a night's, found a link or a folder")
 
 
-def _is_index(path: Path) -> bool:
+def _holds(path: Path, mark: str) -> bool:
     try:
-        return f"<title>{_INDEX_TITLE}" in path.read_text(encoding="utf-8")
+        return mark in path.read_text(encoding="utf-8")
     except (OSError, ValueError):
         return False
-
-
-def _is_summary(path: Path) -> bool:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and {"night", "maps", "counts"} <= found.keys()
-
-
-def count_outcomes(lines: list[MapLine]) -> dict[str, int]:
-    """Count maps by outcome, in the order of `MapOutcome`, those that occur."""
-    counts = Counter(line.outcome for line in lines)
-    return {outcome.value: counts[outcome] for outcome in MapOutcome if counts[outcome]}
-
-
-def exit_code(lines: list[MapLine], problems: list[str], signalled: bool) -> int:
-    """Return what cron and systemd are told."""
-    if problems or any(line.outcome in FAILURES for line in lines):
-        return EXIT_SOME_FAILED
-    return EXIT_SIGNALLED if signalled else EXIT_WELL
 
 
 def time_text(now: float) -> str:
@@ -218,13 +187,9 @@ def append_line(folder: Path, line: MapLine) -> None:
 
 
 def was_cleaned(folder: Path, run: str) -> bool:
-    """Tell whether `nightly.jsonl`, or the one before it, says of a result that it was made."""
-    # What was said last may have been put aside since.
-    return any(
-        line.get("outcome") == MapOutcome.CLEANED and line.get("run") == run
-        for name in (LINES_FILE, _EARLIER_LINES_FILE)
-        for line in _lines_of(folder / name)
-    )
+    """Tell whether `nightly.jsonl` says of a result that it was made."""
+    lines = _lines_of(folder / LINES_FILE)
+    return any((line.get("outcome"), line.get("run")) == ("cleaned", run) for line in lines)
 
 
 def _lines_of(path: Path) -> Iterator[dict[str, Any]]:
@@ -279,13 +244,6 @@ def thumbnail(page: Path) -> str | None:
     return found[1] if found else None
 
 
-def put_long_file_aside(folder: Path) -> None:
-    """Begin a new `nightly.jsonl` where the old one is long."""
-    path = folder / LINES_FILE
-    if path.is_file() and path.stat().st_size > _LARGEST:
-        path.replace(folder / _EARLIER_LINES_FILE)
-
-
 class Minutes:
     """Writes `nightly.jsonl` line by line, and `nightly.json` anew with every line."""
 
@@ -294,8 +252,7 @@ class Minutes:
         self._night = time_text(clock.now())
         self._lines: dict[str, MapLine] = {}
         self._problems: list[str] = []
-        put_long_file_aside(output)
-        self._write(self._summary(None, running=True))
+        self._write(self._summary())
 
     def problems(self, messages: list[str]) -> None:
         """Put down what could not be looked at, once each."""
@@ -309,7 +266,7 @@ class Minutes:
         line = self._line(path, outcome, folder, **more)
         self._lines[str(path)] = line
         append_line(self._output, line)
-        self._write(self._summary(None, running=True))
+        self._write(self._summary())
         level = logging.WARNING if outcome in FAILURES else logging.INFO
         why = f" ({printable(line.reason)})" if line.reason else ""
         logger.log(level, "%s: %s%s", printable(path), outcome, why)
@@ -324,10 +281,10 @@ class Minutes:
         """Put down what became of a map, if nothing was said of it in this night."""
         if str(path) in self._lines:
             return
+        why: dict[str, Any] = {}
         if outcome is MapOutcome.SET_ASIDE and failure is not None:
-            self.say(path, outcome, folder, reason=failure.reason, attempts=failure.attempts)
-        else:
-            self.say(path, outcome, folder)
+            why = {"reason": failure.reason, "attempts": failure.attempts}
+        self.say(path, outcome, folder, **why)
 
     def cleaned_earlier(self, path: Path, run: Path) -> None:
         """Put down a result that a night finished which was killed before it could say so."""
@@ -338,7 +295,11 @@ class Minutes:
 
     def close(self, ending: Ending | None) -> NightSummary:
         """Write the summary of a night that has ended, and return it."""
-        summary = self._summary(ending, running=False)
+        summary = self._summary(
+            finished=time_text(self._clock.now()),
+            ended=ending or "done",
+            exit_code=self._exit_code(ending),
+        )
         self._write(summary)
         logger.log(logging.WARNING if summary.exit_code else logging.INFO, summary.to_text())
         return summary
@@ -347,22 +308,28 @@ class Minutes:
         with only_showing(SUMMARY_FILE, logger.warning):
             summary.write(self._output)
 
-    def _summary(self, ending: Ending | None, *, running: bool) -> NightSummary:
+    def _exit_code(self, ending: Ending | None) -> int:
+        """Return what cron and systemd are told."""
+        if self._problems or any(line.outcome in FAILURES for line in self._lines.values()):
+            return EXIT_SOME_FAILED
+        return EXIT_SIGNALLED if ending == "signal" else EXIT_WELL
+
+    def _summary(self, **more: Any) -> NightSummary:
+        """Return what is known by now; more of a night that has ended, as `NightSummary` has it."""
         lines = sorted(self._lines.values(), key=lambda line: line.map)
+        counts = Counter(line.outcome for line in lines)
         return NightSummary(
             version=version("dynahull-pipeline"),
             night=self._night,
-            finished=None if running else time_text(self._clock.now()),
-            ended="running" if running else ending or "done",
-            exit_code=None if running else exit_code(lines, self._problems, ending == "signal"),
-            counts=count_outcomes(lines),
+            counts={outcome.value: counts[outcome] for outcome in MapOutcome if counts[outcome]},
             problems=self._problems,
             maps=lines,
+            **more,
         )
 
     def _line(self, path: Path, outcome: MapOutcome, folder: MapFolder, **more: Any) -> MapLine:
         latest = folder.latest()
-        report = run_report(latest) if latest is not None else {}
+        report = run_report(latest) if latest else {}
         return MapLine(
             night=self._night,
             time=time_text(self._clock.now()),

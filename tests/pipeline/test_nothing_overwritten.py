@@ -18,7 +18,7 @@ import yaml
 from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import OutputError
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.report import evaluate_files
 from pipeline.outputs import folder as outputs
 from pipeline.outputs.folder import output_folder

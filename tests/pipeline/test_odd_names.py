@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.configuration.run import load_configuration
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.report import evaluate_files
 from pipeline.info import inspect_map
 from pipeline.planning import tile_map

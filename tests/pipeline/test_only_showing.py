@@ -9,7 +9,7 @@ from pipeline import planning, progress
 from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
 from pipeline.evaluation import evaluate
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.report import evaluate_files
 from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver, watching

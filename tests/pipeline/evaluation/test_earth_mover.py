@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from pipeline.errors import MissingPackageError, PlanError
-from pipeline.evaluation.earth_mover import check_transport, draw_sample, transport_cost
+from pipeline.evaluation.distances import check_transport, draw_sample, transport_cost
 from tests.pipeline.evaluation.clouds import cut, source_of
 
 
@@ -56,7 +56,7 @@ def test_a_small_map_is_its_own_sample(tmp_path):
 
 
 def test_samples_too_large_for_the_memory_are_refused_before_the_work(monkeypatch):
-    monkeypatch.setattr("pipeline.evaluation.earth_mover.available_memory", lambda: 1 << 30)
+    monkeypatch.setattr("pipeline.evaluation.distances.available_memory", lambda: 1 << 30)
     check_transport(100_000, 5_000, 5_000)
     with pytest.raises(PlanError, match=r"--emd-points 100000: .* 5,060 and 5,060 .* 1\.0 GiB: c"):
         check_transport(100_000, 5_060, 5_060)

@@ -19,8 +19,7 @@ from pipeline.errors import (
     OutputError,
 )
 from pipeline.evaluation.evaluate import evaluate
-from pipeline.evaluation.inputs import find_inputs
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationOptions, find_inputs
 from pipeline.evaluation.report import evaluate_files
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run

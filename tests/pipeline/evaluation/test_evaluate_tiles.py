@@ -16,8 +16,7 @@ from dynahull.progress import SilentObserver
 from pipeline.errors import DiskSpaceError, EvaluationError
 from pipeline.evaluation import tiled_cloud
 from pipeline.evaluation.evaluate import evaluate
-from pipeline.evaluation.inputs import find_inputs
-from pipeline.evaluation.options import EvaluationOptions
+from pipeline.evaluation.inputs import EvaluationOptions, find_inputs
 from pipeline.progress import LogDisplay, StageObserver
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dynahull.progress import SilentObserver
 from pipeline.errors import EvaluationError
-from pipeline.evaluation.earth_mover import draw_sample
+from pipeline.evaluation.distances import draw_sample
 from pipeline.evaluation.labels import RowReader, RowValues, Truth
 from pipeline.evaluation.tiled_cloud import (
     CloudSource,

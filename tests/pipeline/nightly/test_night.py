@@ -7,8 +7,6 @@ import os
 import pytest
 
 from pipeline.errors import NightlyError
-from pipeline.nightly.inventory import last_change
-from pipeline.nightly.journal import Attempt, Journal
 from pipeline.nightly.one_map import Ended
 from pipeline.nightly.results import is_finished
 from pipeline.tiles import stages
@@ -246,17 +244,6 @@ def test_a_date_in_the_future_does_not_make_a_file_wait(place, outcomes_of):
     assert outcomes_of(place.night()) == {"a.npy": "cleaned"}
 
 
-def test_a_file_from_a_clock_that_was_ahead_is_cleaned_when_it_stays_as_it_is(place, outcomes_of):
-    path = place.write("incoming/a.npy", "one")
-    place.clock.time -= 20 * 86400  # to it, both dates of the file are in the future
-    assert outcomes_of(place.night()) == {"a.npy": "waiting"}
-    path.write_text("more")
-    assert outcomes_of(place.night()) == {"a.npy": "waiting"}
-    assert outcomes_of(place.night()) == {"a.npy": "cleaned"}
-    assert outcomes_of(place.night()) == {"a.npy": "unchanged"}
-    assert [content for _, content in place.cleaner.done] == [b"more"]
-
-
 def test_a_night_waits_for_a_file_from_a_clock_that_was_ahead(place, outcomes_of):
     place.write("incoming/a.npy", "one")
     place.clock.time -= 20 * 86400
@@ -270,15 +257,6 @@ def test_a_clock_that_is_set_back_makes_nothing_be_cleaned_again(place, outcomes
     for _ in range(3):
         assert outcomes_of(place.night())["a.npy"] in ("waiting", "unchanged")
     assert len(place.cleaner.done) == 1
-
-
-def test_a_file_of_a_folder_whose_dates_are_ahead_may_still_be_written():
-    now, old, ahead = 1e9, 9_000 * 10**9, round((1e9 + 20) * 1e9)
-    complete = ("a.npy", 1, old, ahead, 1)
-    growing = ("b.npy", 1, ahead, ahead, 2)
-    assert last_change((complete,), now) == 9_000
-    assert last_change((complete, growing), now) == now
-    assert last_change((complete, growing), now, now - 70) == now - 70
 
 
 def test_a_map_that_changes_while_it_is_cleaned_is_not_published_as_the_new_one(place, outcomes_of):
@@ -550,22 +528,6 @@ def test_a_killed_night_goes_on_and_nothing_is_done_twice(place, monkeypatch):
     for name in "ab":
         runs = place.results(place.incoming / f"{name}.npy").runs()
         assert [(run / "static.npy").read_text() for run in runs] == [f"{name} {number}"]
-
-
-def test_what_was_said_before_the_lines_were_put_aside_is_not_said_again(place, monkeypatch):
-    """A night is killed between its line about a result and the journal; its lines are many."""
-    path = place.write("incoming/a.npy", "one")
-    place.night()
-    journal = Journal(place.output / ".nightly")
-    run = place.results(path).latest()
-    journal.maps[str(path)].attempt = Attempt(run=run.name, tasks=0)
-    journal.save()
-    monkeypatch.setattr("pipeline.nightly.summary._LARGEST", 0)
-    place.night()
-    earlier = (place.output / "nightly.jsonl.1").read_text()
-    assert earlier.count('"cleaned"') == 1
-    assert place.lines("cleaned") == []
-    assert len(place.lines("unchanged")) == 1
 
 
 def test_without_its_journal_finished_results_are_found(place, outcomes_of):
