@@ -11,7 +11,6 @@ from pipeline.configuration.run import Configuration, OutputParameters
 from pipeline.errors import ConfigurationError
 from tiling.errors import MapFormatError
 from tiling.formats import Field, MapReader, PointBatch
-from tiling.formats.base import ExtendedFormat
 
 LABEL, DENSITY, SCORE, ORIGINAL_CLASS = "label", "density", "score", "original_class"
 """Fields of a labelled map."""
@@ -40,7 +39,7 @@ class SplitMode:
 
     def __init__(self, reader: MapReader, labels: Labels) -> None:
         self.reader = reader
-        self.formats: tuple[MapReader | ExtendedFormat, ...] = (reader, reader)
+        self.formats: tuple[MapReader, ...] = (reader, reader)
         self._labels = labels
 
     def counts(self, rows: range) -> tuple[int, int]:
@@ -71,7 +70,7 @@ class LabelMode:
     ) -> None:
         self.reader = reader
         self._extended = reader.extended(added_fields(reader, SCORE in scores))
-        self.formats: tuple[MapReader | ExtendedFormat, ...] = (self._extended,)
+        self.formats: tuple[MapReader, ...] = (self._extended,)
         self._labels = labels
         self._scores = scores
         self._kept = np.array([classes[label] is None for label in Label])
