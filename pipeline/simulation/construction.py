@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from pipeline.simulation.shapes import Shapes, Surface
+from pipeline.simulation.scene import Shapes, Surface
 
 HEIGHT = 3.0
 WALL_THICKNESS = 0.2

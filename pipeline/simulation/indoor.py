@@ -21,8 +21,7 @@ from pipeline.simulation.furnishing import (
     Room,
     ways_of,
 )
-from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
-from pipeline.simulation.shapes import Shapes
+from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0

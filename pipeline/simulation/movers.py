@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.motion import CLEARANCE, Trajectory, drive, keep_clear
-from pipeline.simulation.scene import MachineKind, Scene, Walkways
-from pipeline.simulation.shapes import Shapes, Surface
+from pipeline.simulation.scene import MachineKind, Scene, Shapes, Surface, Walkways
 
 WALKING_SPEED = (0.9, 1.6)
 """Slowest and fastest walker, in metres per second."""

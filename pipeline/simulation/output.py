@@ -20,7 +20,7 @@ from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.points import Points
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import create_file, writing_only_into
 

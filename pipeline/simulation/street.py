@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.simulation.construction import Builder
 from pipeline.simulation.movers import car_shapes
-from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import MachineKind, Place, Scene, Surface, Walkways
 
 LENGTH, WIDTH = 120.0, 40.0
 _MIDDLE = WIDTH / 2

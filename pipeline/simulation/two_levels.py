@@ -20,8 +20,7 @@ from pipeline.simulation.furnishing import (
     Room,
     ways_of,
 )
-from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
-from pipeline.simulation.shapes import Shapes, Surface
+from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall

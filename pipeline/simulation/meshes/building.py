@@ -5,7 +5,7 @@ import numpy as np
 from pipeline.simulation.meshes import furniture
 from pipeline.simulation.meshes.mesh import tubes
 from pipeline.simulation.meshes.stage import Floor, Matter, Stage, level
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 Place = tuple[float, float]
 Bounds = tuple[float, float, float, float]

@@ -4,7 +4,7 @@ import numpy as np
 
 from pipeline.simulation.meshes.mesh import Mesh, boxes, leaves, sheet, tubes
 from pipeline.simulation.meshes.stage import Seat, Stage
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 At = tuple[float, float, float, float]
 _F = Surface.FURNITURE

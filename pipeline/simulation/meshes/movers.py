@@ -13,7 +13,7 @@ from pipeline.simulation.meshes.raycasting import Target
 from pipeline.simulation.meshes.stage import Body, Lane, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 STANDS = 0.35
 """Who never gets farther than this from where he began has no honest truth, in metres."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 T = TypeVar("T")
 

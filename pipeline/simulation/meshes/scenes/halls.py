@@ -15,7 +15,7 @@ from pipeline.simulation.meshes.mesh import sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage, level
 from pipeline.simulation.meshes.vehicles import VEHICLES
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 _BAY, _DEEP, _AISLE = 2.5, 5.2, 6.0
 

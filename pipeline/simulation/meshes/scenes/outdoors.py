@@ -14,7 +14,7 @@ from pipeline.simulation.meshes.mesh import Mesh, boxes, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 _KERB = 0.12
 _STOREY = 3.1

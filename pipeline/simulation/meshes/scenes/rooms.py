@@ -6,7 +6,7 @@ from pipeline.simulation.meshes import furniture as f
 from pipeline.simulation.meshes.building import ceiling, level_ground, outer_wall, sides, wall
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import Door, Matter, Stage
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 _DOOR = 2.1
 
