@@ -9,14 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.indoor import indoor_scene
-from pipeline.simulation.motion import (
-    drift,
-    drive,
-    pose_matrix,
-    rotations,
-    to_map,
-    to_sensor,
-)  # fmt: skip
+from pipeline.simulation.motion import drift, drive, pose_matrix, rotations, to_map, to_sensor
 from pipeline.simulation.movers import populate
 from pipeline.simulation.parameters import RINGS, SimulationParameters
 from pipeline.simulation.points import Points

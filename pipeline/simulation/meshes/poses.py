@@ -52,10 +52,7 @@ def longest(parameters: MeshParameters) -> float:
 
 
 def sensor_track(
-    stage: Stage,
-    walkways: Walkways,
-    parameters: MeshParameters,
-    random: np.random.Generator,
+    stage: Stage, walkways: Walkways, parameters: MeshParameters, random: np.random.Generator
 ) -> Track:
     """Draw the way of the sensor's foot."""
     duration = longest(parameters)

@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.meshes import furniture as f
-from pipeline.simulation.meshes.building import (
-    wall,
-)
+from pipeline.simulation.meshes.building import wall
 from pipeline.simulation.meshes.mesh import Mesh, boxes, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage
