@@ -51,6 +51,12 @@ class Bodies:
     def __len__(self) -> int:
         return len(self.height)
 
+    def take(self, which: NDArray[np.intp]) -> "Bodies":
+        """Return some of the people."""
+        arrays = (self.height, self.build, self.coat, self.swing)
+        carried = tuple(self.carried[number] for number in which)
+        return Bodies(*(array[which] for array in arrays), carried)
+
 
 @dataclass(frozen=True, slots=True)
 class Postures:

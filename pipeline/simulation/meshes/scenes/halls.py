@@ -111,11 +111,8 @@ def _railings(stage: Stage, long: float, wide: float) -> None:
     u = stage.random.uniform
     for _ in range(int(u(0, 4))):
         x, y, length = u(2, long - 4), u(5, wide - 2), u(2, 6)
-        along = (
-            np.array([length, 0, 0]) if u() < 0.5 else np.array([0, min(length, wide - 1 - y), 0])
-        )
-        start = np.array([x, y, 0.0])
-        f.railing(stage, start, start + along)
+        end = (x + length, y) if u() < 0.5 else (x, y + min(length, wide - 1 - y))
+        f.railing(stage, [x, y, 0], [*end, 0])
 
 
 def _upper_floor(stage: Stage, long: float, wide: float, high: float) -> None:
@@ -125,7 +122,7 @@ def _upper_floor(stage: Stage, long: float, wide: float, high: float) -> None:
         return
     deep, floor = u(2, 4), u(2.9, 3.4)
     stage.block([0, wide - deep, floor - 0.25], [long, wide, floor], Surface.FLOOR)
-    f.railing(stage, np.array([0, wide - deep, floor]), np.array([long, wide - deep, floor]))
+    f.railing(stage, [0, wide - deep, floor], [long, wide - deep, floor])
 
 
 def stairs(stage: Stage, told: MeshParameters) -> None:
@@ -178,12 +175,10 @@ def _flight(
     stage.boxes(rows, Surface.FLOOR)
     x1 = x0 + steps * run
     for y in (y0 + 0.06, y0 + broad - 0.06):
-        f.railing(stage, np.array([x0, y, 0]), np.array([x1, y, storey]), 0.95)
+        f.railing(stage, [x0, y, 0], [x1, y, storey], 0.95)
         edge = y - 0.1 if y < y0 + broad / 2 else y + 0.1
-        f.railing(stage, np.array([x0, edge, storey]), np.array([x1, edge, storey]), 1.05)
-    f.railing(
-        stage, np.array([x0 - 0.05, y0, storey]), np.array([x0 - 0.05, y0 + broad, storey]), 1.05
-    )
+        f.railing(stage, [x0, edge, storey], [x1, edge, storey], 1.05)
+    f.railing(stage, [x0 - 0.05, y0, storey], [x0 - 0.05, y0 + broad, storey], 1.05)
 
 
 def _things(
@@ -239,7 +234,7 @@ def _bays(stage: Stage, bays: int, y: float, yaw: float, full: float) -> None:
             turn = yaw + np.pi * (random.random() < 0.4) + u(-0.03, 0.03)
             mesh = VEHICLES[kind](random)
             if mesh.vertices[:, 2].max() < 2.15:
-                f.place(stage, mesh, (x, y + u(-0.2, 0.2), 0, turn), Surface.VEHICLE, u(0.05, 0.7))
+                stage.mesh(mesh, Surface.VEHICLE, (x, y + u(-0.2, 0.2), 0, turn), u(0.05, 0.7))
 
 
 def _structure(
@@ -325,7 +320,7 @@ def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron
         thing(stage, (u(1, wide - 1), long - 0.5, 0.0, -np.pi / 2))
     if random.random() < 0.5:
         y = apron - 0.6
-        f.railing(stage, np.array([u(1, wide / 2), y, 0]), np.array([wide / 2 + 2, y, 0]), 1.1)
+        f.railing(stage, [u(1, wide / 2), y, 0], [wide / 2 + 2, y, 0], 1.1)
 
 
 def _forklift_lanes(stage: Stage, aisles: list[float], long: float, apron: float) -> None:

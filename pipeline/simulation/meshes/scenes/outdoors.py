@@ -1,6 +1,5 @@
 """Scenes without a roof: a street, a park."""
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -10,13 +9,12 @@ from pipeline.simulation.meshes import furniture as f
 from pipeline.simulation.meshes.building import wall
 from pipeline.simulation.meshes.mesh import Mesh, boxes, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage
+from pipeline.simulation.meshes.stage import At, Floor, Height, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.scene import Surface
 
 _KERB = 0.12
 _STOREY = 3.1
-Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
 def street(stage: Stage, told: MeshParameters) -> None:
@@ -120,7 +118,7 @@ def _balcony(stage: Stage, x0: float, x1: float, side: float, edge: float, z: fl
     row = [(x0 + x1) / 2, side * (edge - 0.5), z, x1 - x0, 1.0, 0.15]
     stage.boxes(row, Surface.WALL)
     y = side * (edge - 1)
-    f.railing(stage, np.array([x0, y, z]), np.array([x1, y, z]))
+    f.railing(stage, [x0, y, z], [x1, y, z])
 
 
 def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: float) -> None:
@@ -164,7 +162,7 @@ def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -
                 slope * x,
                 (0 if side < 0 else np.pi) + u(-0.03, 0.03),
             )
-            f.place(stage, VEHICLES[kind](random), at, Surface.VEHICLE, u(0.05, 0.7))
+            stage.mesh(VEHICLES[kind](random), Surface.VEHICLE, at, u(0.05, 0.7))
         x += u(5.4, 7.2)
 
 
@@ -186,7 +184,7 @@ def _pavement_things(
             f.tree(stage, at, u(5, 11))
         else:
             lamp = [[[0, 0, 0], [0, 0, 6.5]], [[0, 0, 6.5], [0, -side * 1.2, 6.7]]]
-            f.place(stage, tubes(lamp, 0.06, 7), at)
+            stage.mesh(tubes(lamp, 0.06, 7), at=at)
     for _ in range(random.poisson(long / 9 * told.clutter)):
         x = u(1, long - 1)
         kerb_side = random.random() < 0.5
@@ -199,7 +197,7 @@ def _pavement_things(
             f.bin_(stage, at)
         elif kind == 2:
             f.bicycle_stand(stage, (at[0], at[1], at[2], 0.0), int(u(2, 6)))
-            f.place(stage, VEHICLES["bicycle"](random), (x, y, at[2], u(0, 3)), Surface.VEHICLE)
+            stage.mesh(VEHICLES["bicycle"](random), Surface.VEHICLE, (x, y, at[2], u(0, 3)))
         elif kind == 3:
             posts = [
                 [[x + n * 1.4, y, at[2]], [x + n * 1.4, y, at[2] + 0.9]]
@@ -208,8 +206,8 @@ def _pavement_things(
             stage.mesh(tubes(posts, 0.05, 7), Surface.FURNITURE)
         elif kind == 4:
             post = [[[0, 0, 0], [0, 0, 2.6]]]
-            f.place(stage, tubes(post, 0.03, 5), at)
-            f.place(stage, boxes([0, 0, 2.4, 0.02, 0.6, 0.6]), at)
+            stage.mesh(tubes(post, 0.03, 5), at=at)
+            stage.mesh(boxes([0, 0, 2.4, 0.02, 0.6, 0.6]), at=at)
         elif kind == 5:
             f.bush(stage, at)
         elif kind == 6:
@@ -230,7 +228,7 @@ def park(stage: Stage, told: MeshParameters) -> None:
     stage.mesh(sheet(grid), Surface.FLOOR, albedo=u(0.2, 0.6))
     stage.floors.append(Floor((0.0, 0.0, side, side), height))
 
-    def at(x: float, y: float) -> f.At:
+    def at(x: float, y: float) -> At:
         return (x, y, float(height(np.array(x), np.array(y))), u(0, 2 * np.pi))
 
     for _ in range(random.poisson(side * side / u(60, 300))):

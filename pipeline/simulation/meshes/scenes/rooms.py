@@ -229,7 +229,7 @@ def _along_the_walls(stage: Stage, told: MeshParameters, long: float, wide: floa
             f.bench(stage, (x, y, 0, yaw))
         elif kind == 2:
             side = 0.12 if low else wide - 0.12
-            f.railing(stage, np.array([x, side, 0]), np.array([x + u(2, 8), side, 0]), 0.95)
+            f.railing(stage, [x, side, 0], [x + u(2, 8), side, 0], 0.95)
         else:
             (f.plant, f.bin_, f.coat_rack, f.cabinet)[kind - 3](stage, (x, y, 0, yaw))
     if random.random() < 0.3 * told.mirrors:
