@@ -53,9 +53,9 @@ class Bodies:
 
     def take(self, which: NDArray[np.intp]) -> "Bodies":
         """Return some of the people."""
-        arrays = (self.height, self.build, self.coat, self.swing)
         carried = tuple(self.carried[number] for number in which)
-        return Bodies(*(array[which] for array in arrays), carried)
+        some = (self.height[which], self.build[which], self.coat[which], self.swing[which])
+        return Bodies(*some, carried)
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,7 +97,7 @@ def _along(
 
 def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
     """Choose the times of the scans, and say where the sensor is and is believed to be."""
-    samples = np.arange(len(track.yaw)) * STEP
+    samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
     times = _scan_times(track, samples, parameters)
     place = interpolated(times, samples, track.place)
     later = interpolated(times + 0.1, samples, track.place)
