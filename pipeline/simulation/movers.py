@@ -67,19 +67,9 @@ class Movers:
         self.reach = np.array([part.reach() for part in parts])
 
     def at(self, times: NDArray[np.float64], robot: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the poses of all at n times, people out of the way of robot and machines.
+        """Return the poses of all at n times, (n, p, 5).
 
-        Parameters
-        ----------
-        times : (n,) float64 array
-            In seconds.
-        robot : (n, 3 or more) float64 array
-            Where the robot is at these times, in metres.
-
-        Returns
-        -------
-        (n, p, 5) float64 array
-            x, y, z, heading and slope.
+        People keep out of the way of the machines and of the robot, whose poses, (n, 5), are given.
         """
         poses = np.empty((len(times), len(self.everyone), 5))
         for number, mover in enumerate(self.everyone):

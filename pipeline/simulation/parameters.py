@@ -33,10 +33,7 @@ class SimulationParameters(BaseModel):
         0, ge=0, description="Seed of the floor plan, all that moves, the noise and the drift."
     )
     drive: int = Field(
-        0,
-        ge=0,
-        description="Number of the drive: another one goes through the same scene, with other "
-        "people, noise and drift.",
+        0, ge=0, description="Another number: the same scene, but other people, noise and drift."
     )
     points: int | None = Field(
         None,

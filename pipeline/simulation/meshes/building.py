@@ -9,6 +9,7 @@ from pipeline.simulation.scene import Surface
 
 Place = tuple[float, float]
 Bounds = tuple[float, float, float, float]
+Hole = tuple[float, float, float, float]  # along the wall, width, bottom and top
 
 
 def level_ground(stage: Stage, bounds: Bounds, albedo: float, beyond: float = 1.0) -> None:
@@ -31,21 +32,13 @@ def wall(
     end: Place,
     base: float,
     high: float,
-    openings: tuple[tuple[float, float, float, float], ...] = (),
+    openings: tuple[Hole, ...] = (),
     thick: float = 0.12,
     matter: Matter = Matter.SOLID,
 ) -> None:
-    """Build a wall from place to place, along x or y.
+    """Build a wall from place to place along x or y, its foot at `base`; one of glass has a frame.
 
-    Parameters
-    ----------
-    start, end : (x, y)
-    base, high : float
-        Height of its foot, and its own height, in metres.
-    openings : tuple of (along, width, bottom, top)
-        Holes: where each begins along the wall, and its heights above the foot.
-    matter : Matter
-        A wall of glass has a frame.
+    Each opening says where it begins along the wall, its width, and its heights above the foot.
     """
     first, last = np.array(start, dtype=np.float64), np.array(end, dtype=np.float64)
     length = float(np.linalg.norm(last - first))
@@ -74,9 +67,7 @@ def wall(
         stage.boxes(rows, Surface.WALL, spot)
 
 
-def windows(
-    stage: Stage, length: float, high: float
-) -> tuple[tuple[float, float, float, float], ...]:
+def windows(stage: Stage, length: float, high: float) -> tuple[Hole, ...]:
     """Draw a row of windows along a wall."""
     u = stage.random.uniform
     wide, gap, sill = u(0.9, 2.4), u(0.5, 1.6), u(0.0, 1.0)

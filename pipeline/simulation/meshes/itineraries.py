@@ -139,14 +139,8 @@ def along_lane(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return places on a lane, (n, 3), and the headings of wheels there, unwrapped.
 
-    Parameters
-    ----------
-    line : (m, 3) float64 array
-        Corners of the lane.
-    at : (n,) float64 array
-        Way from its beginning to the places.
-    reach : float
-        Way to the front axle and to the rear one.
+    The lane has corners, (m, 3); the places, (n,), are given by their way from its beginning. The
+    axles are `reach` metres ahead and behind.
     """
     along = way_along(line)
     ahead = interpolated(at + reach, along, line[:, :2])
@@ -186,13 +180,7 @@ def _track(
 
 
 class Planner:
-    """Draws what people do in a scene.
-
-    Parameters
-    ----------
-    duration : float
-        In seconds.
-    """
+    """Draws what people do in a scene, for so many seconds."""
 
     def __init__(
         self, stage: Stage, walkways: Walkways, duration: float, random: np.random.Generator

@@ -177,16 +177,9 @@ def extruded(profile: ArrayLike, width: float) -> Mesh:
 def leaves(
     random: np.random.Generator, count: int, reach: ArrayLike, size: float, hollow: float = 0.5
 ) -> Mesh:
-    """Make small triangles in an ellipsoid about the origin.
+    """Make small triangles, of edges about `size` long, in an ellipsoid of half axes `reach`.
 
-    Parameters
-    ----------
-    reach : (3,) float
-        Half axes.
-    size : float
-        About the length of an edge.
-    hollow : float, optional
-        0 fills the ellipsoid evenly; towards 1, leaves gather at its surface.
+    With `hollow` 0 they fill it evenly; towards 1 they gather at its surface.
     """
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -78,16 +78,10 @@ class Movers:
     def target(
         self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
     ) -> Target:
-        """Return what rays can meet, each mover at a time of its own.
+        """Return what rays can meet, each mover when the rays get to it: (p + r,) times.
 
-        Parameters
-        ----------
-        times : (p + r,) float64 array
-            When the rays get to each.
-        sensor : (3,) float64 array
-            People make way for it.
-        reach : float
-            What is farther from it is left out, in metres.
+        People make way for the sensor, (3,), and what is more than `reach` metres from it is left
+        out.
         """
         people, owner = self._people(times, sensor, reach)
         parts, owners = [people], [owner]

@@ -230,10 +230,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[SimulatedScan]:
     """Yield the scans of the map one by one, before the map's own voxel filter.
 
-    Parameters
-    ----------
-    static : bool, optional
-        Whether to cast all rays once more for what stands alone; otherwise that is left empty.
+    With `static`, all rays are cast once more for what stands alone; otherwise that is left empty.
     """
     recording = Recording(parameters)
     for number, start in enumerate(recording.drive.times):
