@@ -26,16 +26,9 @@ _MACHINE_CLEARANCE = 0.35  # metres between a machine's farthest corner and a pe
 
 @dataclass(frozen=True, slots=True)
 class Mover:
-    """Someone or something that moves.
+    """Someone or something that moves, and its shapes, x ahead and z up from the floor.
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Where it is.
-    shapes : Shapes
-        About its own axis, x ahead and z up from the floor.
-    on_foot : bool
-        Whether it makes way for what is on wheels.
+    Who is on foot makes way for what is on wheels.
     """
 
     trajectory: Trajectory

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +26,8 @@ from tiling.output_file import create_file, writing_only_into
 POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "intensity")),
                   ("time", "<f8"), ("scan", "<u4")])  # fmt: skip
 """A point in every file, in metres and seconds."""
+
+Parameters: TypeAlias = SimulationParameters | MeshParameters
 
 _PCD_FIELDS = """\
 VERSION 0.7
@@ -137,7 +140,7 @@ class SimulationFiles:
 
 
 def write_simulation(
-    parameters: SimulationParameters | MeshParameters,
+    parameters: Parameters,
     folder: Path,
     *,
     map_only: bool = False,
@@ -185,9 +188,7 @@ def write_simulation(
     return SimulationFiles(folder)
 
 
-def _scans(
-    parameters: SimulationParameters | MeshParameters, static: bool
-) -> Iterator[SimulatedScan]:
+def _scans(parameters: Parameters, static: bool) -> Iterator[SimulatedScan]:
     if isinstance(parameters, MeshParameters):
         return mesh_scans(parameters, static=static)
     return simulate_scans(parameters)
@@ -195,7 +196,7 @@ def _scans(
 
 @contextmanager
 def _map_of(
-    parameters: SimulationParameters | MeshParameters, *writers: Callable[[Points], None]
+    parameters: Parameters, *writers: Callable[[Points], None]
 ) -> Iterator[Callable[[Points], None]]:
     """Give what appends a scan to a map: a stream, or at the end through the map's voxel filter."""
     voxel = parameters.voxel if isinstance(parameters, MeshParameters) else 0.0
@@ -211,10 +212,7 @@ def _map_of(
 
 
 def _write_drive(
-    parameters: SimulationParameters | MeshParameters,
-    files: SimulationFiles,
-    map_only: bool,
-    advance: Callable[[int], None],
+    parameters: Parameters, files: SimulationFiles, map_only: bool, advance: Callable[[int], None]
 ) -> None:
     """Write all that comes from the drive itself."""
     known = isinstance(parameters, MeshParameters)
@@ -249,9 +247,7 @@ def _write_drive(
             raise nothing_seen(parameters.min_range, parameters.max_range)
 
 
-def _write_low_activity(
-    parameters: SimulationParameters | MeshParameters, files: SimulationFiles
-) -> None:
+def _write_low_activity(parameters: Parameters, files: SimulationFiles) -> None:
     """Write the map of a drive while hardly anybody is there."""
     quiet = parameters.low_activity()
     with point_cloud_file(files.low_activity) as cloud, _map_of(quiet, cloud) as append:

@@ -117,16 +117,9 @@ class Shapes:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A place that people walk to.
+    """A place that people walk to, at (x, y) on a floor of height z.
 
-    Attributes
-    ----------
-    x, y : float
-        Its middle.
-    freedom : float
-        How far from the middle, along each axis, people may pass or stand.
-    z : float
-        Height of the floor.
+    They may pass or stand as far from its middle, along each axis, as its freedom is.
     """
 
     x: float

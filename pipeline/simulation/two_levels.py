@@ -102,11 +102,8 @@ def _add_building(builder: c.Builder) -> None:
             builder.wall("y", 0.0, 0.0, WIDTH, (window(10, 14), glass_wall(17, 20)), STOREY)
             builder.wall("y", LENGTH, 0.0, WIDTH, (window(8, 14),), STOREY)
             builder.wall("x", _LANE, 0.0, LENGTH, (way_in,), clear)
-            openings = (
-                passage(_LANE + 1.0, _LANE + 7.5),
-                glass_wall(_LANE + 8.0, _LANE + 12.0),
-                passage(WIDTH - 8.5, WIDTH - 1.0),
-            )
+            south, north = passage(_LANE + 1.0, _LANE + 7.5), passage(WIDTH - 8.5, WIDTH - 1.0)
+            openings = (south, glass_wall(_LANE + 8.0, _LANE + 12.0), north)
             builder.wall("y", LENGTH / 2, _LANE, WIDTH, openings, clear)
     slope = STOREY / (LENGTH - 2 * _LANDING)
     with builder.on(-slope * _LANDING, slope):
@@ -203,9 +200,8 @@ def _route_of_hall() -> NDArray[np.float64]:
     upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]
     back = [(7.0, 8.6), (7.0, 22.0), (2.0, 22.0)]
     up = on_floor(_over(8.6))
-    return np.concatenate(
-        [on_floor(lower), up, on_floor(upper, PLATFORM), up[::-1], on_floor(back)]
-    )
+    ways = (on_floor(lower), up, on_floor(upper, PLATFORM), up[::-1], on_floor(back))
+    return np.concatenate(ways)
 
 
 def _add_hall(builder: c.Builder) -> None:

@@ -18,19 +18,9 @@ _UNREST = 3.0 / STEP  # steps over which one who stands forgets how he shifted
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """A place to be at for a while.
+    """A place, (3,), near a node of the walkways, to be at for some seconds.
 
-    Attributes
-    ----------
-    node : int
-        Of the walkways, near it.
-    place : (3,) float64 array
-    wait : float
-        In seconds.
-    yaw : float, optional
-        Where to look; as one came, if not given.
-    seat : float
-        Height of a seat to sit on; 0 to stand.
+    One looks along the yaw, or as one came, and sits on a seat of some height, or stands.
     """
 
     node: int
@@ -185,10 +175,8 @@ class Planner:
     def __init__(
         self, stage: Stage, walkways: Walkways, duration: float, random: np.random.Generator
     ) -> None:
-        self._stage = stage
-        self._walkways = walkways
-        self._duration = duration
-        self._random = random
+        self._stage, self._walkways = stage, walkways
+        self._duration, self._random = duration, random
         self._goals = walkways.draw(random, 24, room=0.5)
         self._seats = list(random.permutation(len(stage.seats)))
 

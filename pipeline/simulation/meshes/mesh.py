@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 Rows: TypeAlias = ArrayLike | Sequence[Any]
 """A table of numbers, in whatever lists it was written."""
 
-_BOX_CORNERS = np.array(
-    [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], dtype=np.float64
-)
+_BOX_CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
 _BOX_TRIANGLES = np.array(
     [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
@@ -48,12 +46,8 @@ class Mesh:
         if not parts:
             return cls(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
         starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-        return cls(
-            np.concatenate([part.vertices for part in parts]),
-            np.concatenate(
-                [part.triangles + start for part, start in zip(parts, starts, strict=True)]
-            ),
-        )
+        triangles = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+        return cls(np.concatenate([part.vertices for part in parts]), np.concatenate(triangles))
 
     def placed(self, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> "Mesh":
         """Turn about z, counter-clockwise, then shift."""

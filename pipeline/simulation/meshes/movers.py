@@ -83,8 +83,8 @@ class Movers:
         People make way for the sensor, (3,), and what is more than `reach` metres from it is left
         out.
         """
-        people, owner = self._people(times, sensor, reach)
-        parts, owners = [people], [owner]
+        people, whose = self._people(times, sensor, reach)
+        parts, owners = [people], [whose]
         for number, thing in enumerate(self.rigid):
             time = float(times[len(self.tracks) + number])
             place = _between(thing.place, time)
@@ -94,10 +94,8 @@ class Movers:
                 yaw = float(np.interp(time / STEP, np.arange(len(thing.yaw)), thing.yaw))
                 parts.append(thing.mesh.placed(place[0], place[1], place[2], yaw))
                 owners.append(np.full(len(thing.mesh.triangles), len(self.tracks) + number))
-        mesh, owner = Mesh.joined(parts), np.concatenate(owners)
-        surface = self.surfaces[owner] if len(owner) else np.empty(0, dtype=np.uint8)
-        albedo = self.albedo[owner] if len(owner) else np.empty(0, dtype=np.float32)
-        return Target(Body(mesh, surface, albedo), owner)
+        owner = np.concatenate(owners)
+        return Target(Body(Mesh.joined(parts), self.surfaces[owner], self.albedo[owner]), owner)
 
     def _people(
         self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
@@ -133,9 +131,8 @@ def _posture(track: Track, time: float) -> tuple[float, ...]:
     at = min(max(time / STEP, 0.0), len(track.yaw) - 1.001)
     low = int(at)
     x, y, z = track.place[low] + (track.place[low + 1] - track.place[low]) * (at - low)
-    yaw, gone = (
-        way[low] + (way[low + 1] - way[low]) * (at - low) for way in (track.yaw, track.gone)
-    )
+    yaw = track.yaw[low] + (track.yaw[low + 1] - track.yaw[low]) * (at - low)
+    gone = track.gone[low] + (track.gone[low + 1] - track.gone[low]) * (at - low)
     return (x, y, z, yaw, gone, track.pace[low], track.sitting[low], track.seat[low])
 
 

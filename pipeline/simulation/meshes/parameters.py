@@ -207,14 +207,9 @@ def random_parameters(
     elif mode is DriveMode.STAND:  # sees the same walls again and again
         total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
-    drawn: dict[str, Any] = {
-        "kind": kind,
-        "sensor": sensor,
-        "seed": seed,
-        "scans": scans,
-        "mode": mode,
-        "rays": int(np.clip(total / scans, 2_500, 60_000 if good else 28_000)),
-    }
+    rays = int(np.clip(total / scans, 2_500, 60_000 if good else 28_000))
+    drawn: dict[str, Any] = {"kind": kind, "sensor": sensor, "seed": seed, "mode": mode}
+    drawn |= {"scans": scans, "rays": rays}
     # In this order: what is drawn later follows from what was drawn before.
     drawn |= _way_of_sensor(random, sensor, vehicle, keyed)
     drawn |= _measurements(random)

@@ -16,6 +16,9 @@ T = TypeVar("T")
 At: TypeAlias = tuple[float, float, float, float]
 """Where something stands: x, y, z and its yaw."""
 
+Thing: TypeAlias = Callable[["Stage", At], None]
+"""What puts something somewhere."""
+
 Height: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 """The height of a floor at some x and y."""
 

@@ -86,10 +86,9 @@ def _lattice(
     """Return free places of a floor, their room, and pairs of neighbours."""
     x0, y0, x1, y1 = floor.bounds
     shape = (max(2, int((x1 - x0) / spacing)), max(2, int((y1 - y0) / spacing)))
-    x, y = np.meshgrid(
-        np.linspace(x0 + 0.2, x1 - 0.2, shape[0]), np.linspace(y0 + 0.2, y1 - 0.2, shape[1]),
-        indexing="ij",
-    )  # fmt: skip
+    along = np.linspace(x0 + 0.2, x1 - 0.2, shape[0])
+    across = np.linspace(y0 + 0.2, y1 - 0.2, shape[1])
+    x, y = np.meshgrid(along, across, indexing="ij")
     places = np.stack([x, y, floor.height(x, y)], axis=-1).reshape(-1, 3)
     room = np.min([caster.clearance(places + np.array([0, 0, up])) for up in _HEIGHTS], axis=0)
     free = (room >= CLEARANCE) & (caster.clearance(places) < _UNDERFOOT)

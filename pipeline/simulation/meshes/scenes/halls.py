@@ -13,7 +13,7 @@ from pipeline.simulation.meshes.building import (
 )
 from pipeline.simulation.meshes.mesh import sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage, level
+from pipeline.simulation.meshes.stage import At, Floor, Lane, Matter, Stage, Thing, level
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.scene import Surface
 
@@ -81,24 +81,18 @@ def _tapes(stage: Stage, x: float, y: float) -> None:
 def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
     """Scatter tables, benches, sofas, plants, boards and shelves."""
     random, u = stage.random, stage.random.uniform
+
+    def plants(stage: Stage, at: At) -> None:
+        for _ in range(int(u(1, 5))):
+            f.plant(stage, (at[0] + u(-0.6, 0.6), at[1] + u(-0.6, 0.6), 0, 0), u(0.6, 2.6))
+
+    things: list[Thing] = [
+        lambda stage, at: f.table(stage, at, int(u(2, 9))), f.sofa, f.bench, f.bench, plants,
+        f.sign, lambda stage, at: f.shelf(stage, at, u(1, 2.5)), f.bin_,
+    ]  # fmt: skip
     for _ in range(random.poisson(long * wide / 45 * told.clutter)):
         at = (u(1.5, long - 1.5), u(4, wide - 1.5), 0.0, u(0, 2 * np.pi))
-        kind = random.integers(8)
-        if kind == 0:
-            f.table(stage, at, int(u(2, 9)))
-        elif kind == 1:
-            f.sofa(stage, at)
-        elif kind in (2, 3):
-            f.bench(stage, at)
-        elif kind == 4:
-            for _ in range(int(u(1, 5))):
-                f.plant(stage, (at[0] + u(-0.6, 0.6), at[1] + u(-0.6, 0.6), 0, 0), u(0.6, 2.6))
-        elif kind == 5:
-            f.sign(stage, at)
-        elif kind == 6:
-            f.shelf(stage, at, u(1, 2.5))
-        else:
-            f.bin_(stage, at)
+        stage.pick(things)(stage, at)
     for _ in range(random.poisson(6 * told.clutter)):
         side = random.random() < 0.5
         at = (u(1, long - 1), 0.4 if side else wide - 0.4, 0.0, np.pi / 2 if side else -np.pi / 2)
@@ -164,16 +158,16 @@ def _things(
 ) -> None:  # fmt: skip
     random, u = stage.random, stage.random.uniform
     low_x, low_y, top_x, top_y = kept_free
+    things: list[Thing] = [
+        lambda stage, at: f.table(stage, at, int(u(2, 7))),
+        *(f.plant, f.bench, f.sofa, f.shelf, f.sign),
+    ]
     for _ in range(random.poisson(long * wide / 25 * told.clutter)):
         x, y = u(0.8, long - 0.8), u(0.8, wide - 0.8)
         if low_x < x < top_x and low_y < y < top_y:
             continue
         at = (x, y, base, u(0, 2 * np.pi))
-        kind = int(random.integers(6))
-        if kind == 0:
-            f.table(stage, at, int(u(2, 7)))
-        else:
-            (f.plant, f.bench, f.sofa, f.shelf, f.sign)[kind - 1](stage, at)
+        stage.pick(things)(stage, at)
 
 
 def garage(stage: Stage, told: MeshParameters) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 from pipeline.simulation.meshes import furniture as f
 from pipeline.simulation.meshes.building import ceiling, level_ground, outer_wall, sides, wall
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Door, Matter, Stage
+from pipeline.simulation.meshes.stage import Door, Matter, Stage, Thing
 from pipeline.simulation.scene import Surface
 
 _DOOR = 2.1
@@ -165,8 +165,9 @@ def _side(
             width = u(0.85, 1.2)
             begin = u(0.3, max(0.35, end - x - width - 0.3))
             shut = random.random() < 0.35
-            wall(stage, (x, front), (end, front), 0, high, ((begin, width, 0, 2.1),), 0.12,
-                 Matter.GLASS if glass else Matter.SOLID)  # fmt: skip
+            matter = Matter.GLASS if glass else Matter.SOLID
+            hole = (begin, width, 0, _DOOR)
+            wall(stage, (x, front), (end, front), 0, high, (hole,), 0.12, matter)
             leaf = [width / 2, 0, 1.03, width, 0.045, 2.06]
             if shut:
                 recess = front + side * 0.1
@@ -187,15 +188,14 @@ def _room(stage: Stage, told: MeshParameters, room: _Room) -> None:
     x0, y0, x1, y1 = room
     if x1 - x0 < 1.6:
         return
+    things: list[Thing] = [
+        lambda stage, at: f.desk(stage, at, told.clutter),
+        lambda stage, at: f.table(stage, at, int(u(1, 5))),
+        *(f.shelf, f.office_chair, f.plant),
+    ]
     for _ in range(random.poisson(3 * told.clutter)):
         at = (u(x0 + 0.3, x1 - 0.3), u(y0 + 1.4, y1 - 1.4), 0.0, u(0, 2 * np.pi))
-        kind = int(random.integers(5))
-        if kind == 0:
-            f.desk(stage, at, told.clutter)
-        elif kind == 1:
-            f.table(stage, at, int(u(1, 5)))
-        else:
-            (f.shelf, f.office_chair, f.plant)[kind - 2](stage, at)
+        stage.pick(things)(stage, at)
 
 
 def _along_the_walls(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
@@ -236,7 +236,7 @@ def room(stage: Stage, told: MeshParameters) -> None:
     wall(stage, (0, 0), (0, wide + passage), 0, high)
     begin, width = u(0.4, long - 1.8), u(0.85, 1.3)
     matter = Matter.GLASS if random.random() < 0.4 * told.glass else Matter.SOLID
-    wall(stage, (0, wide), (long, wide), 0, high, ((begin, width, 0, 2.1),), 0.12, matter)
+    wall(stage, (0, wide), (long, wide), 0, high, ((begin, width, 0, _DOOR),), 0.12, matter)
     stage.doors.append(Door(begin, wide, 0, 0, width, 2.06))
     _middle(stage, told, long, wide)
     _edges(stage, told, long, wide)
@@ -269,10 +269,8 @@ def _edges(stage: Stage, told: MeshParameters, long: float, wide: float) -> None
     random, u = stage.random, stage.random.uniform
     for _ in range(random.poisson(7 * told.clutter)):
         side = int(random.integers(3))
-        at = [
-            (0.35, u(0.5, wide - 0.5), 0.0, 0.0),
-            (u(0.5, long - 0.5), 0.35, 0.0, np.pi / 2),
-            (long - 0.35, u(0.5, wide - 0.5), 0.0, np.pi),
-        ][side]
+        west, south, east = u(0.5, wide - 0.5), u(0.5, long - 0.5), u(0.5, wide - 0.5)
+        x, y = ((0.35, west), (south, 0.35), (long - 0.35, east))[side]
+        at = (x, y, 0.0, side * np.pi / 2)
         things = [f.shelf, f.cabinet, f.plant, f.coat_rack, f.sofa, f.bin_, f.chair, f.desk]
         stage.pick(things)(stage, at)
