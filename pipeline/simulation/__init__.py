@@ -11,8 +11,7 @@ from pipeline.simulation.meshes.parameters import load_simulation
 from pipeline.simulation.output import SimulationFiles, write_simulation
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.points import Points
-from pipeline.simulation.scene import SceneKind
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import SceneKind, Surface
 from pipeline.simulation.simulate import SimulatedScan, build_scene
 
 __all__ = [

@@ -33,16 +33,8 @@ class SimulatedMap:
         What made it.
     xyz : (n, 3) float32 array
         In metres; the floor of the lowest storey is at z = 0.
-    intensity : (n,) float32 array
-        Calibrated reflectivity, 0 to 255.
-    time : (n,) float64 array
-        Since the drive began, in seconds.
-    scan : (n,) uint32 array
-        The scan that saw the point.
-    moving : (n,) uint8 array
-        1 where the point lies on something that moves: a ghost.
-    surface : (n,) uint8 array
-        `Surface` the point lies on.
+    intensity, time, scan, moving, surface : (n,) float32, float64, uint32, uint8, uint8 arrays
+        As in `Points`; times since the drive began.
     true_poses, estimated_poses : (s, 3, 4) float64 array
         From the sensor's frame to the map's, at the beginning of each scan.
     """
@@ -61,10 +53,7 @@ class SimulatedMap:
 def simulate(parameters: SimulationParameters) -> SimulatedMap:
     """Drive through the scene and gather every scan into one map, in memory.
 
-    Returns
-    -------
-    SimulatedMap
-        The same, bit for bit, for the same parameters.
+    The same parameters give the same map, bit for bit.
     """
     scans = list(simulate_scans(parameters))
     points = Points.joined([scan.returns for scan in scans])
@@ -118,8 +107,7 @@ def block_place(block: int, blocks: int, scene: Scene) -> NDArray[np.float64]:
     length, width = (side + scene.gap for side in scene.size)
     in_a_row = max(1, round(np.sqrt(blocks * width / length)))
     row, column = divmod(block, in_a_row)
-    if row % 2:
-        column = in_a_row - 1 - column
+    column = in_a_row - 1 - column if row % 2 else column
     return np.array([column * length, row * width, 0.0])
 
 

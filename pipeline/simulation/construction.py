@@ -1,17 +1,28 @@
-"""Building scenes: walls with doors and panes, and pieces of furniture, from boxes and cylinders.
+"""Building scenes of boxes and cylinders: walls with doors and panes, furniture, and where it goes.
 
 All lengths are in metres.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 
-from pipeline.simulation.shapes import Shapes, Surface
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.simulation.scene import Scene, Shapes, Surface
 
 HEIGHT = 3.0
 WALL_THICKNESS = 0.2
 DOOR_HEIGHT = 2.1
+
+ROBOT_MARGIN, MACHINE_MARGIN, PERSON_MARGIN, QUEUE_MARGIN = 0.6, 1.45, 0.4, 0.55
+"""Room that each needs to either side of its way."""
+
+_TRIES = 60  # to find a place for a piece of furniture
+_STEP = 0.1  # between the points that stand for a way
+_GAP = 0.1  # between a piece of furniture and the next
 
 Span = tuple[float, float]
 
@@ -172,3 +183,125 @@ class Builder:
         """Add a plant in a pot, 0.7 by 0.7 about (x, y)."""
         self.cylinder(x, y, 0.18, 0.4)
         self.cylinder(x, y, 0.3, 1.5, Surface.VEGETATION, bottom=0.4)
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A rectangle on one floor, between the faces of its walls."""
+
+    x: Span
+    y: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A piece of furniture that stands free: its footprint along x and y, and how it is built."""
+
+    length: float
+    depth: float
+    build: Callable[[Builder, float, float], None]
+
+
+DESK = Piece(1.6, 1.7, Builder.desk)
+SEATS = Piece(1.2, 2.1, Builder.seats)
+MEETING_TABLE = Piece(4.0, 2.8, Builder.meeting_table)
+TABLE = Piece(1.8, 0.8, Builder.table)
+PLANT = Piece(0.7, 0.7, Builder.plant)
+PILLAR = Piece(0.6, 0.6, Builder.pillar)
+
+
+class Furnisher:
+    """Places furniture in rooms, away from ways and from each other.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose ways stay free.
+    rounds : bool, optional
+        Whether the rounds of the machines and of those who queue are among them.
+    """
+
+    def __init__(
+        self, builder: Builder, random: np.random.Generator, scene: Scene, *, rounds: bool = True
+    ) -> None:
+        self._builder = builder
+        self._random = random
+        ways = [(_points_along(corners), room) for corners, room in _ways_of(scene, rounds)]
+        self._ways = np.concatenate([points for points, _ in ways])
+        self._margins = np.concatenate([np.full(len(points), room) for points, room in ways])
+        self._taken: list[tuple[float, float, float, float]] = []
+
+    def take(self, x: Span, y: Span) -> None:
+        """Keep furniture out of a rectangle, such as one that stands there already."""
+        self._taken.append((x[0], y[0], x[1], y[1]))
+
+    def free_standing(self, room: Room, piece: Piece, count: int) -> None:
+        """Place up to `count` pieces anywhere in a room, as far as there is space."""
+        for _ in range(count):
+            for _ in range(_TRIES):
+                x, y = (
+                    self._random.uniform(low + size / 2, max(high - size / 2, low + size / 2))
+                    for (low, high), size in ((room.x, piece.length), (room.y, piece.depth))
+                )
+                if self._claim(room, x, y, piece.length, piece.depth):
+                    piece.build(self._builder, x, y)
+                    break
+
+    def along_walls(
+        self, room: Room, count: int, lengths: Span, depth: float, heights: Span
+    ) -> None:
+        """Place up to `count` cabinets with their backs to a wall of a room."""
+        for _ in range(count):
+            length, top = self._random.uniform(*lengths), self._random.uniform(*heights)
+            for _ in range(_TRIES):
+                side, share = int(self._random.integers(4)), self._random.random()
+                across, along = (room.x, room.y) if side < 2 else (room.y, room.x)
+                near_wall = across[0] + depth / 2 if side % 2 else across[1] - depth / 2
+                middle = along[0] + length / 2 + share * (along[1] - along[0] - length)
+                x, y = (near_wall, middle) if side < 2 else (middle, near_wall)
+                size_x, size_y = (depth, length) if side < 2 else (length, depth)
+                if self._claim(room, x, y, size_x, size_y):
+                    self._builder.cabinet(
+                        (x - size_x / 2, x + size_x / 2), (y - size_y / 2, y + size_y / 2), top
+                    )
+                    break
+
+    def _claim(self, room: Room, x: float, y: float, length: float, depth: float) -> bool:
+        """Take a rectangle about (x, y) if it is free."""
+        x0, x1, y0, y1 = x - length / 2, x + length / 2, y - depth / 2, y + depth / 2
+        within = room.x[0] - 1e-9 <= x0 and x1 <= room.x[1] + 1e-9
+        if not (within and room.y[0] - 1e-9 <= y0 and y1 <= room.y[1] + 1e-9):
+            return False
+        for a0, b0, a1, b1 in self._taken:
+            if a0 < x1 + _GAP and x0 - _GAP < a1 and b0 < y1 + _GAP and y0 - _GAP < b1:
+                return False
+        apart = np.maximum([x0, y0] - self._ways, self._ways - [x1, y1])
+        away = np.hypot(*np.maximum(apart, 0.0).T)
+        if (away < self._margins).any():
+            return False
+        self._taken.append((x0, y0, x1, y1))
+        return True
+
+
+def _ways_of(scene: Scene, rounds: bool) -> list[tuple[NDArray[np.float64], float]]:
+    """Return the corners of all ways of a scene, and the room that each needs to either side."""
+    routes = [(scene.robot_route, ROBOT_MARGIN)]
+    if rounds:
+        queue = np.concatenate([scene.queue, scene.queue_return[::-1]])
+        routes += [(scene.machine_route, MACHINE_MARGIN), (queue, QUEUE_MARGIN)]
+    ways = [(np.concatenate([route, route[:1]]), room) for route, room in routes]
+    for here, onward in zip(scene.walkways.places, scene.walkways.ways, strict=True):
+        for there in (scene.walkways.places[place] for place in onward):
+            corners = np.array([(here.x, here.y), (there.x, there.y)])
+            margin = PERSON_MARGIN + np.sqrt(2) * max(here.freedom, there.freedom)
+            ways.append((corners, margin))
+    return ways
+
+
+def _points_along(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points along a way of (m, 2 or 3) corners, `_STEP` apart, (n, 2)."""
+    pieces = [
+        np.linspace(here, there, 1 + int(np.hypot(*(there - here)) / _STEP), endpoint=False)
+        for here, there in pairwise(corners[:, :2])
+    ]
+    return np.concatenate([*pieces, corners[-1:, :2]])

@@ -10,19 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.construction import Builder, door, glass_wall, passage, window
-from pipeline.simulation.furnishing import (
-    DESK,
-    MEETING_TABLE,
-    PLANT,
-    SEATS,
-    TABLE,
-    Furnisher,
-    Room,
-    ways_of,
-)
-from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
-from pipeline.simulation.shapes import Shapes
+from pipeline.simulation import construction as c
+from pipeline.simulation.construction import door, glass_wall, passage, window
+from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0
@@ -32,34 +22,16 @@ _QUEUE_X, _COUNTER_Y = 13.0, 8.7
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Where walls and doors are.
+    """Where walls and the middles of doors are."""
 
-    Attributes
-    ----------
-    hall_east : float
-        x of the wall between the hall and the rooms to its east.
-    hall_north : float
-        y of the wall between the hall and the corridor.
-    east_split : float
-        y of the wall between the two rooms east of the hall.
-    dividers : tuple of 3 floats
-        x of the walls between the rooms north of the corridor.
-    arch : float
-        x of the middle of the way from the hall to the corridor, 3 m wide.
-    doors : tuple of 4 floats
-        x of the middle of each northern room's door.
-    laboratory_door, meeting_door : float
-        x and y of the middle of the doors of the rooms east of the hall.
-    """
-
-    hall_east: float
-    hall_north: float
-    east_split: float
-    dividers: tuple[float, float, float]
-    arch: float
-    doors: tuple[float, float, float, float]
-    laboratory_door: float
-    meeting_door: float
+    hall_east: float  # x of the wall between the hall and the rooms to its east
+    hall_north: float  # y of the wall between the hall and the corridor
+    east_split: float  # y of the wall between the two rooms east of the hall
+    dividers: tuple[float, ...]  # x of the walls between the rooms north of the corridor
+    arch: float  # x of the way from the hall to the corridor, 3 m wide
+    doors: tuple[float, ...]  # x of each northern room's door
+    laboratory_door: float  # x
+    meeting_door: float  # y
 
     @property
     def corridor_north(self) -> float:
@@ -67,28 +39,20 @@ class _Plan:
         return self.hall_north + _CORRIDOR
 
     @property
-    def northern_rooms(self) -> tuple[Room, ...]:
+    def northern_rooms(self) -> list[c.Room]:
         """The rooms north of the corridor, from west to east."""
-        walls = (0.0, *self.dividers, LENGTH)
-        return tuple(
-            Room(
-                (west + _WALL, east - _WALL),
-                (self.corridor_north + _WALL, WIDTH - _WALL),
-            )
-            for west, east in pairwise(walls)
-        )
+        y = (self.corridor_north + _WALL, WIDTH - _WALL)
+        walls = pairwise((0.0, *self.dividers, LENGTH))
+        return [c.Room((west + _WALL, east - _WALL), y) for west, east in walls]
+
+    @property
+    def pillars(self) -> list[tuple[float, float]]:
+        """X and y of the pillars of the hall."""
+        return [(x, y) for x in (5.6, self.hall_east - 5.3) for y in (5.6, 8.6)]
 
 
 def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
-    """Build the floor.
-
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        What varies from one floor to the next is drawn from it.
-    glass : bool, optional
-        Whether panes let rays pass; otherwise they are solid walls.
-    """
+    """Draw a floor. Panes let rays pass; without `glass` they are solid walls."""
     plan = _draw_plan(random)
     north, east = plan.hall_north - 3.2, plan.hall_east - 3.1
     scene = Scene(
@@ -102,9 +66,9 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )
-    builder = Builder(glass)
+    builder = c.Builder(glass)
     _add_walls(builder, plan)
-    furnisher = Furnisher(builder, random, ways_of(scene))
+    furnisher = c.Furnisher(builder, random, scene)
     _furnish_hall(builder, furnisher, plan, random)
     _furnish_rooms(furnisher, plan, random)
     scene = replace(scene, shapes=builder.shapes())
@@ -116,22 +80,22 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
 
 def _draw_plan(random: np.random.Generator) -> _Plan:
     """Move each wall and door a little from where an architect would put it."""
-    first, second, third = np.array([7.5, 15.0, 22.5]) + random.uniform(-0.8, 0.8, 3)
-    walls = np.array([0.0, first, second, third, LENGTH])
+    dividers = np.array([7.5, 15.0, 22.5]) + random.uniform(-0.8, 0.8, 3)
+    walls = np.array([0.0, *dividers, LENGTH])
     doors = walls[:-1] + np.diff(walls) * random.uniform(0.4, 0.6, 4)
     return _Plan(
         hall_east=20.0 + random.uniform(-0.8, 0.8),
         hall_north=14.0 + random.uniform(-0.4, 0.4),
         east_split=7.0 + random.uniform(-0.3, 0.6),
-        dividers=(float(first), float(second), float(third)),
+        dividers=tuple(dividers.tolist()),
         arch=9.5 + random.uniform(-1.5, 1.5),
-        doors=(float(doors[0]), float(doors[1]), float(doors[2]), float(doors[3])),
+        doors=tuple(doors.tolist()),
         laboratory_door=25.5 + random.uniform(-1.5, 1.5),
         meeting_door=5.6 + random.uniform(-0.2, 0.2),
     )
 
 
-def _add_walls(builder: Builder, plan: _Plan) -> None:
+def _add_walls(builder: c.Builder, plan: _Plan) -> None:
     """Add floor, ceiling, every wall, and the pillars of the hall."""
     builder.floor((0, LENGTH), (0, WIDTH))
     builder.ceiling((0, LENGTH), (0, WIDTH))
@@ -139,43 +103,41 @@ def _add_walls(builder: Builder, plan: _Plan) -> None:
     builder.wall("x", WIDTH, 0.0, LENGTH, (window(1, 6), window(9, 14), window(24, 29)))
     builder.wall("y", 0.0, 0.0, WIDTH, (window(4, 9), glass_wall(15, 16)))
     builder.wall("y", LENGTH, 0.0, WIDTH, (window(2, 5), window(9, 12)))
-    arch = passage(plan.arch - 1.5, plan.arch + 1.5)
-    laboratory = door(plan.laboratory_door - 0.5)
-    builder.wall("x", plan.hall_north, 0.0, LENGTH, (arch, laboratory))
-    builder.wall(
-        "x", plan.corridor_north, 0.0, LENGTH, tuple(door(middle - 0.5) for middle in plan.doors)
-    )
+    ways = (passage(plan.arch - 1.5, plan.arch + 1.5), door(plan.laboratory_door - 0.5))
+    builder.wall("x", plan.hall_north, 0.0, LENGTH, ways)
+    doors = tuple(door(middle - 0.5) for middle in plan.doors)
+    builder.wall("x", plan.corridor_north, 0.0, LENGTH, doors)
     for x in plan.dividers:
         builder.wall("y", x, plan.corridor_north, WIDTH)
     panes = (glass_wall(1, 4.5), door(plan.meeting_door - 0.5), glass_wall(8, 12.5))
     builder.wall("y", plan.hall_east, 0.0, plan.hall_north, panes)
     builder.wall("x", plan.east_split, plan.hall_east, LENGTH)
-    for x in (5.6, plan.hall_east - 5.3):
-        for y in (5.6, 8.6):
-            builder.pillar(x, y)
+    for x, y in plan.pillars:
+        builder.pillar(x, y)
 
 
 def _furnish_hall(
-    builder: Builder, furnisher: Furnisher, plan: _Plan, random: np.random.Generator
+    builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, random: np.random.Generator
 ) -> None:
     """Add the counter, and furniture in the hall and the corridor."""
-    for x in (5.6, plan.hall_east - 5.3):
-        for y in (5.6, 8.6):
-            furnisher.take((x - 0.4, x + 0.4), (y - 0.4, y + 0.4))
+    for x, y in plan.pillars:
+        furnisher.take((x - 0.4, x + 0.4), (y - 0.4, y + 0.4))
     counter = (_QUEUE_X - 1.5, _QUEUE_X + 1.1)
     builder.cabinet(counter, (_COUNTER_Y, _COUNTER_Y + 0.6), 1.05)
     builder.cabinet((_QUEUE_X - 1.0, _QUEUE_X - 0.6), (_COUNTER_Y + 0.1, _COUNTER_Y + 0.4), 1.4)
     furnisher.take(counter, (_COUNTER_Y, _COUNTER_Y + 0.6))
-    hall = Room((_WALL, plan.hall_east - _WALL), (_WALL, plan.hall_north - _WALL))
-    furnisher.free_standing(hall, SEATS, int(random.integers(2, 5)))
+    hall = c.Room((_WALL, plan.hall_east - _WALL), (_WALL, plan.hall_north - _WALL))
+    furnisher.free_standing(hall, c.SEATS, int(random.integers(2, 5)))
     furnisher.along_walls(hall, int(random.integers(3, 7)), (1.2, 3.0), 0.8, (0.4, 2.0))
-    furnisher.free_standing(hall, PLANT, 4)
-    corridor = Room((_WALL, LENGTH - _WALL), (plan.hall_north + _WALL, plan.corridor_north - _WALL))
+    furnisher.free_standing(hall, c.PLANT, 4)
+    corridor = c.Room(
+        (_WALL, LENGTH - _WALL), (plan.hall_north + _WALL, plan.corridor_north - _WALL)
+    )
     furnisher.along_walls(corridor, 4, (0.8, 2.5), 0.3, (0.9, 1.9))
-    furnisher.free_standing(corridor, PLANT, 2)
+    furnisher.free_standing(corridor, c.PLANT, 2)
 
 
-def _furnish_rooms(furnisher: Furnisher, plan: _Plan, random: np.random.Generator) -> None:
+def _furnish_rooms(furnisher: c.Furnisher, plan: _Plan, random: np.random.Generator) -> None:
     """Make each room an office, a store or a classroom; a meeting room and a laboratory are set."""
     uses = ("office", "store", "classroom", "office")
     for room, use in zip(plan.northern_rooms, random.permutation(uses), strict=True):
@@ -184,16 +146,16 @@ def _furnish_rooms(furnisher: Furnisher, plan: _Plan, random: np.random.Generato
             continue
         furnisher.along_walls(room, int(random.integers(1, 4)), (0.9, 2.5), 0.4, (0.9, 2.0))
         if use == "classroom":
-            furnisher.free_standing(room, TABLE, 6)
+            furnisher.free_standing(room, c.TABLE, 6)
         else:
-            furnisher.free_standing(room, DESK, int(random.integers(2, 5)))
+            furnisher.free_standing(room, c.DESK, int(random.integers(2, 5)))
     east = (plan.hall_east + _WALL, LENGTH - _WALL)
-    meeting = Room(east, (_WALL, plan.east_split - _WALL))
-    furnisher.free_standing(meeting, MEETING_TABLE, 1)
+    meeting = c.Room(east, (_WALL, plan.east_split - _WALL))
+    furnisher.free_standing(meeting, c.MEETING_TABLE, 1)
     furnisher.along_walls(meeting, 2, (0.9, 1.5), 0.5, (0.8, 1.2))
-    laboratory = Room(east, (plan.east_split + _WALL, plan.hall_north - _WALL))
+    laboratory = c.Room(east, (plan.east_split + _WALL, plan.hall_north - _WALL))
     furnisher.along_walls(laboratory, 4, (1.5, 3.0), 0.9, (0.9, 1.6))
-    furnisher.free_standing(laboratory, DESK, 2)
+    furnisher.free_standing(laboratory, c.DESK, 2)
 
 
 def _walkways(plan: _Plan) -> Walkways:
@@ -229,12 +191,8 @@ def _walkways(plan: _Plan) -> Walkways:
     ]
     for number, x in enumerate(plan.doors):
         names = tuple(f"{part} {number}" for part in ("corridor", "door", "room"))
-        spots = (
-            Place(x, middle, 0.3),
-            Place(x, plan.corridor_north, 0.1),
-            Place(x, room_y, 0.4),
-        )
-        places.update(zip(names, spots, strict=True))
+        spots = ((middle, 0.3), (plan.corridor_north, 0.1), (room_y, 0.4))
+        places |= {name: Place(x, *spot) for name, spot in zip(names, spots, strict=True)}
         corridor[names[0]] = x
         lines.append(names)
     lines.append(tuple(sorted(corridor, key=lambda name: corridor[name])))
@@ -247,23 +205,10 @@ def _robot_route(plan: _Plan) -> NDArray[np.float64]:
     west, east = 2.2, plan.hall_east - 1.6
     corridor = plan.hall_north + 0.9
     inside = plan.corridor_north + 3.0
-    first, third = plan.doors[0], plan.doors[2]
-    return on_floor(
-        [
-            (west, south),
-            (east, south),
-            (east, north),
-            (plan.arch - 0.7, north),
-            (plan.arch - 0.7, corridor),
-            (LENGTH - 4.0, corridor),
-            (third, corridor),
-            (third, inside),
-            (third, corridor),
-            (first, corridor),
-            (first, inside),
-            (first, corridor),
-            (plan.arch - 0.7, corridor),
-            (plan.arch - 0.7, north),
-            (west, north),
-        ]
-    )
+    arch, first, third = plan.arch - 0.7, plan.doors[0], plan.doors[2]
+    return on_floor([
+        (west, south), (east, south), (east, north), (arch, north), (arch, corridor),
+        (LENGTH - 4.0, corridor), (third, corridor), (third, inside), (third, corridor),
+        (first, corridor), (first, inside), (first, corridor), (arch, corridor), (arch, north),
+        (west, north),
+    ])  # fmt: skip

@@ -5,6 +5,7 @@ A pose is x, y and z in metres, the heading in radians, and the slope: the rise 
 ahead.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +45,6 @@ class Trajectory:
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pose at each of n times, (n, 5); before and after, the mover stands."""
-        # All five columns share one search for the times.
         after = np.searchsorted(self.times, times, side="right").clip(1, len(self.times) - 1)
         begin, end = self.times[after - 1], self.times[after]
         lasting = np.maximum(end - begin, 1e-12)
@@ -99,16 +99,12 @@ def keep_clear(
 
     Parameters
     ----------
-    places : (n, p, d) float64 array, d >= 3
+    places : (n, p, 3 or more) float64 array
         x, y, z of p people at n times, in metres; what follows them is left as it is.
-    other : (n, 3) float64 array
-        Where the other is at these times, in metres.
+    other : (n, 3 or more) float64 array
+        Where the other is at these times.
     clearance : float, optional
         In metres, axis to axis.
-
-    Returns
-    -------
-    (n, p, d) float64 array
     """
     apart = places[..., :3] - other[:, None, :3]
     distance = np.maximum(np.hypot(apart[..., 0], apart[..., 1]), 1e-6)
@@ -151,24 +147,17 @@ def to_sensor(pose: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray
     return (points - pose[:, 3]) @ pose[:, :3]
 
 
-class Drift:
-    """The error of the estimated pose, scan after scan.
+def drift(
+    parameters: SimulationParameters, random: np.random.Generator
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the error of the estimated pose, scan after scan: x, y and z in metres, heading.
 
     An Ornstein-Uhlenbeck process from 0: the error wanders, and loop closures hold it near 0, so
     that a wall seen several times becomes thicker and not two walls.
     """
-
-    def __init__(self, parameters: SimulationParameters, random: np.random.Generator) -> None:
-        self._deviation = np.array(
-            [parameters.drift_position] * 3 + [np.radians(parameters.drift_heading)]
-        )
-        self._kept = float(np.exp(-parameters.scan_interval / DRIFT_SECONDS))
-        self._random = random
-        self._error = np.zeros(4)
-
-    def step(self) -> NDArray[np.float64]:
-        """Return the error of the next scan: x, y and z in metres, heading in radians."""
-        error = self._error
-        new = self._random.normal(size=4) * self._deviation * np.sqrt(1 - self._kept**2)
-        self._error = self._kept * error + new
-        return error
+    deviation = np.array([parameters.drift_position] * 3 + [np.radians(parameters.drift_heading)])
+    kept = float(np.exp(-parameters.scan_interval / DRIFT_SECONDS))
+    error = np.zeros(4)
+    while True:
+        yield error
+        error = kept * error + random.normal(size=4) * deviation * np.sqrt(1 - kept**2)

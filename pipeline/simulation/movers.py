@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.motion import CLEARANCE, Trajectory, drive, keep_clear
-from pipeline.simulation.scene import MachineKind, Scene, Walkways
-from pipeline.simulation.shapes import Shapes, Surface
+from pipeline.simulation.scene import MachineKind, Scene, Shapes, Surface, Walkways
 
 WALKING_SPEED = (0.9, 1.6)
 """Slowest and fastest walker, in metres per second."""
@@ -27,16 +26,9 @@ _MACHINE_CLEARANCE = 0.35  # metres between a machine's farthest corner and a pe
 
 @dataclass(frozen=True, slots=True)
 class Mover:
-    """Someone or something that moves.
+    """Someone or something that moves, and its shapes, x ahead and z up from the floor.
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Where it is.
-    shapes : Shapes
-        About its own axis, x ahead and z up from the floor.
-    on_foot : bool
-        Whether it makes way for what is on wheels.
+    Who is on foot makes way for what is on wheels.
     """
 
     trajectory: Trajectory
@@ -68,19 +60,9 @@ class Movers:
         self.reach = np.array([part.reach() for part in parts])
 
     def at(self, times: NDArray[np.float64], robot: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the poses of all at n times, people out of the way of robot and machines.
+        """Return the poses of all at n times, (n, p, 5).
 
-        Parameters
-        ----------
-        times : (n,) float64 array
-            In seconds.
-        robot : (n, 3 or more) float64 array
-            Where the robot is at these times, in metres.
-
-        Returns
-        -------
-        (n, p, 5) float64 array
-            x, y, z, heading and slope.
+        People keep out of the way of the machines and of the robot, whose poses, (n, 5), are given.
         """
         poses = np.empty((len(times), len(self.everyone), 5))
         for number, mover in enumerate(self.everyone):

@@ -6,35 +6,41 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import TypeAlias
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
-from numpy.typing import NDArray
 
-from pipeline.errors import ConfigurationError, OutputError
+from pipeline.errors import OutputError
 from pipeline.simulation.campus import simulate_scans
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.simulate import mesh_scans
-from pipeline.simulation.parameters import SimulationParameters
+from pipeline.simulation.parameters import SimulationParameters, nothing_seen
 from pipeline.simulation.points import Points
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import create_file, writing_only_into
 
-POINT = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("intensity", "<f4"),
-        ("time", "<f8"),
-        ("scan", "<u4"),
-    ]
-)
+POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "intensity")),
+                  ("time", "<f8"), ("scan", "<u4")])  # fmt: skip
 """A point in every file, in metres and seconds."""
+
+Parameters: TypeAlias = SimulationParameters | MeshParameters
+
+_PCD_FIELDS = """\
+VERSION 0.7
+FIELDS x y z intensity time scan
+SIZE 4 4 4 4 8 4
+TYPE F F F F F U
+COUNT 1 1 1 1 1 1
+WIDTH {points}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {points}
+DATA binary
+"""
 
 POINTS_IN_MEMORY = 250_000
 """Points whose truth is gathered before it is written."""
@@ -44,13 +50,7 @@ _HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be wr
 
 @contextmanager
 def point_cloud_file(path: Path) -> Iterator[Callable[[Points], None]]:
-    """Write a binary PCD 0.7 file (the Point Cloud Library's format) as a stream.
-
-    Yields
-    ------
-    callable
-        Appends points.
-    """
+    """Write a binary PCD 0.7 file (the Point Cloud Library's format) by what appends points."""
     count = 0
 
     def append(points: Points) -> None:
@@ -71,17 +71,9 @@ def point_cloud_file(path: Path) -> Iterator[Callable[[Points], None]]:
 
 @contextmanager
 def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]:
-    """Write Parquet, one row a point, as a stream: `moving` (bool) and `surface` (dictionary).
+    """Write Parquet by what appends points, a row each: `moving` (bool), `surface` (dictionary).
 
-    Parameters
-    ----------
-    known : bool
-        Write `known` (bool), too: whether `moving` can be told.
-
-    Yields
-    ------
-    callable
-        Appends what is true of points.
+    With `known`, a third column (bool) tells whether `moving` can be told.
     """
     columns = [("moving", pa.bool_()), ("surface", pa.dictionary(pa.uint8(), pa.string()))]
     schema = pa.schema([*columns, ("known", pa.bool_())] if known else columns)
@@ -107,27 +99,9 @@ def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]
         flush()
 
 
-def write_row(file: BinaryIO, values: NDArray[np.float64]) -> None:
-    """Write numbers in a line, as the KITTI odometry benchmark has poses and times."""
-    np.savetxt(file, np.reshape(values, (1, -1)), "%.9f")
-
-
 def _pcd_header(points: int) -> bytes:
     """Return the header of a file of so many points, always of the same size."""
-    columns = [POINT[name] for name in POINT.names or ()]
-    lines = (
-        "VERSION 0.7",
-        "FIELDS " + " ".join(POINT.names or ()),
-        "SIZE " + " ".join(str(column.itemsize) for column in columns),
-        "TYPE " + " ".join(column.kind.upper() for column in columns),
-        "COUNT " + " ".join("1" for _ in columns),
-        f"WIDTH {points}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {points}",
-        "DATA binary",
-    )
-    rest = "\n".join(lines) + "\n"
+    rest = _PCD_FIELDS.format(points=points)
     comment = "# .PCD v0.7 - Point Cloud Data file format"
     return (comment.ljust(_HEADER_SIZE - len(rest) - 1) + "\n" + rest).encode("ascii")
 
@@ -166,7 +140,7 @@ class SimulationFiles:
 
 
 def write_simulation(
-    parameters: SimulationParameters | MeshParameters,
+    parameters: Parameters,
     folder: Path,
     *,
     map_only: bool = False,
@@ -214,9 +188,7 @@ def write_simulation(
     return SimulationFiles(folder)
 
 
-def _scans(
-    parameters: SimulationParameters | MeshParameters, static: bool
-) -> Iterator[SimulatedScan]:
+def _scans(parameters: Parameters, static: bool) -> Iterator[SimulatedScan]:
     if isinstance(parameters, MeshParameters):
         return mesh_scans(parameters, static=static)
     return simulate_scans(parameters)
@@ -224,7 +196,7 @@ def _scans(
 
 @contextmanager
 def _map_of(
-    parameters: SimulationParameters | MeshParameters, *writers: Callable[[Points], None]
+    parameters: Parameters, *writers: Callable[[Points], None]
 ) -> Iterator[Callable[[Points], None]]:
     """Give what appends a scan to a map: a stream, or at the end through the map's voxel filter."""
     voxel = parameters.voxel if isinstance(parameters, MeshParameters) else 0.0
@@ -240,10 +212,7 @@ def _map_of(
 
 
 def _write_drive(
-    parameters: SimulationParameters | MeshParameters,
-    files: SimulationFiles,
-    map_only: bool,
-    advance: Callable[[int], None],
+    parameters: Parameters, files: SimulationFiles, map_only: bool, advance: Callable[[int], None]
 ) -> None:
     """Write all that comes from the drive itself."""
     known = isinstance(parameters, MeshParameters)
@@ -265,24 +234,20 @@ def _write_drive(
             count += len(returns)
             for append_to_map, seen in zip(maps, (returns, scan.static_returns), strict=False):
                 append_to_map(seen)
-            write_row(poses, scan.estimated_pose)
-            write_row(true_poses, scan.true_pose)
-            write_row(times, np.array(scan.start))
+            # A line a scan, as the KITTI odometry benchmark has poses and times.
+            np.savetxt(poses, scan.estimated_pose.reshape(1, -1), "%.9f")
+            np.savetxt(true_poses, scan.true_pose.reshape(1, -1), "%.9f")
+            np.savetxt(times, [scan.start], "%.9f")
             if not map_only:
                 path = files.scans / f"{scan.number:0{_SCAN_DIGITS}d}.pcd"
                 with point_cloud_file(path) as append:
                     append(replace(returns, xyz=scan.in_sensor_frame()))
             advance(len(returns))
         if not count:
-            raise ConfigurationError(
-                "simulate: expected something within the sensor's range, found nothing from "
-                f"min_range {parameters.min_range:g} to max_range {parameters.max_range:g} m"
-            )
+            raise nothing_seen(parameters.min_range, parameters.max_range)
 
 
-def _write_low_activity(
-    parameters: SimulationParameters | MeshParameters, files: SimulationFiles
-) -> None:
+def _write_low_activity(parameters: Parameters, files: SimulationFiles) -> None:
     """Write the map of a drive while hardly anybody is there."""
     quiet = parameters.low_activity()
     with point_cloud_file(files.low_activity) as cloud, _map_of(quiet, cloud) as append:

@@ -4,6 +4,7 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
+from pipeline.errors import ConfigurationError
 from pipeline.simulation.scene import SceneKind
 
 RINGS = 16
@@ -32,10 +33,7 @@ class SimulationParameters(BaseModel):
         0, ge=0, description="Seed of the floor plan, all that moves, the noise and the drift."
     )
     drive: int = Field(
-        0,
-        ge=0,
-        description="Number of the drive: another one goes through the same scene, with other "
-        "people, noise and drift.",
+        0, ge=0, description="Another number: the same scene, but other people, noise and drift."
     )
     points: int | None = Field(
         None,
@@ -117,3 +115,11 @@ class SimulationParameters(BaseModel):
         """Return another drive through the same scene while only two people walk about."""
         quiet = {"drive": self.drive + 1, "walkers": min(self.walkers, 2)}
         return self.model_copy(update={**quiet, "queuers": 0, "machines": 0})
+
+
+def nothing_seen(least: float, most: float) -> ConfigurationError:
+    """Return what to raise where a sensor of these ranges, in metres, sees nothing."""
+    return ConfigurationError(
+        "simulate: expected something within the sensor's range, found nothing from "
+        f"min_range {least:g} to max_range {most:g} m"
+    )

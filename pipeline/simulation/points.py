@@ -47,25 +47,14 @@ class Points:
     @classmethod
     def joined(cls, parts: Sequence["Points"]) -> "Points":
         """Put points one after the other."""
-        return cls(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(cls)
-            )
-        )
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def filtered(self, size: float) -> "Points":
         """Put the centroid of its points in each voxel, as PCL's `VoxelGrid` does.
 
-        Parameters
-        ----------
-        size : float
-            In metres; 0 leaves all as it is.
-
-        Returns
-        -------
-        Points
-            What most points of a voxel are, in the order of their first points.
+        It is what most points of the voxel are, and stands where the first of them did. The size is
+        in metres; 0 leaves all as it is.
         """
         if not size or not len(self):
             return self

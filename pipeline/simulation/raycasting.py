@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.shapes import Shapes
+from pipeline.simulation.scene import Shapes
 from tiling.compiled import compiled
 
 _ALMOST_ZERO = 1e-30  # stands in for a direction component of 0, which cannot be divided by
@@ -43,19 +43,15 @@ def first_hits(
 
     Parameters
     ----------
-    shapes : Shapes
-        Any number of them, none among them.
     origins : (n, 3) float64 array
         Where the rays begin, in metres. A body around a ray's origin is not seen by that ray.
     directions : (n, 3) float64 array
         Unit vectors.
     """
     starts = np.array([[0, 0], [len(shapes.boxes), len(shapes.cylinders)]])
-    frames = np.zeros((1, 1, 5))
+    reach, frames = np.array([np.inf]), np.zeros((1, 1, 5))
     firings = np.zeros(len(origins), dtype=np.int64)
-    return first_moving_hits(
-        shapes, starts, np.array([np.inf]), frames, firings, origins, directions
-    )
+    return first_moving_hits(shapes, starts, reach, frames, firings, origins, directions)
 
 
 def first_moving_hits(
@@ -92,7 +88,8 @@ def first_moving_hits(
         shapes.boxes, shapes.cylinders, starts, reach, np.ascontiguousarray(frames),
         firings, origins, directions, distance, index,
     )  # fmt: skip
-    return Hits(distance, shapes.surface_of(index))
+    surface = np.concatenate([shapes.box_surface, shapes.cylinder_surface])
+    return Hits(distance, surface[index])
 
 
 @compiled

@@ -1,17 +1,17 @@
-"""A scene: all that stands still, and the ways that people, machines and the robot take.
+"""A scene: what stands still, and the ways that people, machines and the robot take.
 
+Solid things are boxes, which may lie on a slope, and upright cylinders: enough for floors, ramps,
+walls, furniture, people, machines and trees, and the distance along a ray to either is exact.
 All lengths are in metres.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum, StrEnum
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pipeline.simulation.shapes import Shapes
 
 
 class SceneKind(StrEnum):
@@ -32,18 +32,94 @@ class MachineKind(StrEnum):
     BICYCLE = "bicycle"
 
 
+class Surface(IntEnum):
+    """The kind of thing a point lies on."""
+
+    FLOOR = 0
+    WALL = 1
+    CEILING = 2
+    FURNITURE = 3
+    PERSON = 4
+    MACHINE = 5
+    VEHICLE = 6
+    VEGETATION = 7
+
+    @property
+    def title(self) -> str:
+        """The name used in files: `floor`, `wall` and so on."""
+        return self.name.lower()
+
+
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A place that people walk to.
+class Shapes:
+    """Solid bodies.
 
     Attributes
     ----------
-    x, y : float
-        Its middle.
-    freedom : float
-        How far from the middle, along each axis, people may pass or stand.
-    z : float
-        Height of the floor.
+    boxes : (b, 8) float64 array
+        Lower x, y, z, upper x, y, z, and the slopes along x and y: the points of a box are those
+        with x and y within the bounds, and with z - slope_x x - slope_y y between lower and upper
+        z.
+    box_surface : (b,) uint8 array
+        `Surface` of each box.
+    cylinders : (c, 5) float64 array
+        x and y of the axis, radius, bottom and top.
+    cylinder_surface : (c,) uint8 array
+        `Surface` of each cylinder.
+    """
+
+    boxes: NDArray[np.float64]
+    box_surface: NDArray[np.uint8]
+    cylinders: NDArray[np.float64]
+    cylinder_surface: NDArray[np.uint8]
+
+    @classmethod
+    def of(
+        cls,
+        boxes: Sequence[Sequence[float]] = (),
+        box_surface: Sequence[int] = (),
+        cylinders: Sequence[Sequence[float]] = (),
+        cylinder_surface: Sequence[int] = (),
+    ) -> "Shapes":
+        """Make shapes from rows, none among them."""
+        return cls(
+            np.array(boxes, dtype=np.float64).reshape(-1, 8),
+            np.array(box_surface, dtype=np.uint8),
+            np.array(cylinders, dtype=np.float64).reshape(-1, 5),
+            np.array(cylinder_surface, dtype=np.uint8),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence["Shapes"]) -> "Shapes":
+        """Put the boxes of all parts one after the other, and so their cylinders."""
+        names = [field.name for field in fields(cls)]
+        parts = [cls.of(), *parts]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def reach(self) -> float:
+        """Return the greatest distance of any part from the z axis."""
+        corners = np.abs(self.boxes[:, [0, 1, 3, 4]]).reshape(-1, 2, 2).max(axis=1, initial=0.0)
+        away = np.hypot(self.cylinders[:, 0], self.cylinders[:, 1]) + self.cylinders[:, 2]
+        return float(max(np.hypot(*corners.T).max(initial=0.0), away.max(initial=0.0)))
+
+    def mirrored(self, axis: int, length: float) -> "Shapes":
+        """Swap left and right along x (axis 0) or y (axis 1), within 0 to `length`."""
+        boxes, cylinders = self.boxes.copy(), self.cylinders.copy()
+        boxes[:, axis] = length - self.boxes[:, axis + 3]
+        boxes[:, axis + 3] = length - self.boxes[:, axis]
+        # z - slope x, with x = length - x': what is left of the slope is added to the bounds.
+        slope = self.boxes[:, axis + 6]
+        boxes[:, [2, 5]] += (slope * length)[:, None]
+        boxes[:, axis + 6] = -slope
+        cylinders[:, axis] = length - self.cylinders[:, axis]
+        return replace(self, boxes=boxes, cylinders=cylinders)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place that people walk to, at (x, y) on a floor of height z.
+
+    They may pass or stand as far from its middle, along each axis, as its freedom is.
     """
 
     x: float
@@ -70,13 +146,13 @@ class Walkways:
     @classmethod
     def along(cls, places: Mapping[str, Place], lines: Sequence[Sequence[str]]) -> "Walkways":
         """Join places by lines from name to name."""
-        number = {name: index for index, name in enumerate(places)}
-        ways: list[list[int]] = [[] for _ in places]
+        ways: dict[str, list[int]] = {name: [] for name in places}
+        numbers = {name: number for number, name in enumerate(places)}
         for line in lines:
             for here, there in pairwise(line):
-                ways[number[here]].append(number[there])
-                ways[number[there]].append(number[here])
-        return cls(tuple(places.values()), tuple(map(tuple, ways)))
+                ways[here].append(numbers[there])
+                ways[there].append(numbers[here])
+        return cls(tuple(places.values()), tuple(map(tuple, ways.values())))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +169,8 @@ class Scene:
         Slots of the queue, from the counter to its end.
     queue_return : (m, 3) float64 array
         Corners of the way from the counter back to the end of the queue.
-    robot_route : (m, 3) float64 array
-        Corners of the closed route of the robot, on the floor.
-    machine_route : (m, 3) float64 array
-        Corners of the closed route of the machines.
+    robot_route, machine_route : (m, 3) float64 array
+        Corners of the closed routes of the robot and of the machines, on the floor.
     machines : tuple of MachineKind
         Which machines drive, in turn.
     machine_speed : float
@@ -134,7 +208,7 @@ class Scene:
         return replace(
             self,
             shapes=self.shapes.mirrored(axis, length),
-            walkways=Walkways(places, self.walkways.ways),
+            walkways=replace(self.walkways, places=places),
             queue=turned(self.queue),
             queue_return=turned(self.queue_return),
             robot_route=turned(self.robot_route),

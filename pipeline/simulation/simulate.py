@@ -3,26 +3,18 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.indoor import indoor_scene
-from pipeline.simulation.motion import (
-    Drift,
-    Trajectory,
-    drive,
-    pose_matrix,
-    rotations,
-    to_map,
-    to_sensor,
-)
-from pipeline.simulation.movers import Movers, populate
+from pipeline.simulation.motion import drift, drive, pose_matrix, rotations, to_map, to_sensor
+from pipeline.simulation.movers import populate
 from pipeline.simulation.parameters import RINGS, SimulationParameters
 from pipeline.simulation.points import Points
 from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
 from pipeline.simulation.scene import Scene, SceneKind
-from pipeline.simulation.shapes import Surface
 from pipeline.simulation.street import street_scene
 from pipeline.simulation.two_levels import ramp_scene, storeys_scene
 
@@ -30,15 +22,8 @@ RING_ELEVATIONS = np.radians(np.linspace(-15.0, 15.0, RINGS))
 """Angle of each ring above the horizon, in radians: those of a Velodyne VLP-16 (User Manual
 63-9243), whose lasers fire together at each azimuth of a rotation."""
 
-_REFLECTIVITY = np.zeros(len(Surface))
-_REFLECTIVITY[Surface.FLOOR] = 25.0
-_REFLECTIVITY[Surface.WALL] = 60.0
-_REFLECTIVITY[Surface.CEILING] = 75.0
-_REFLECTIVITY[Surface.FURNITURE] = 40.0
-_REFLECTIVITY[Surface.PERSON] = 30.0
-_REFLECTIVITY[Surface.MACHINE] = 50.0
-_REFLECTIVITY[Surface.VEHICLE] = 55.0
-_REFLECTIVITY[Surface.VEGETATION] = 45.0
+# Of floor, wall, ceiling, furniture, person, machine, vehicle and vegetation.
+_REFLECTIVITY = np.array([25.0, 60.0, 75.0, 40.0, 30.0, 50.0, 55.0, 45.0])
 _REFLECTIVITY_SPREAD = 8.0
 
 
@@ -83,12 +68,7 @@ def measured_ranges(
 ) -> NDArray[np.float64]:
     """Return true distances as the sensor reports them, NaN where it reports none; in metres.
 
-    Parameters
-    ----------
-    distance : (n,) float64 array
-        Infinite where a ray meets nothing.
-    noise : (n,) float64 array
-        Standard normal.
+    The noise is standard normal; what a ray never meets is infinitely far.
     """
     ranges = distance + noise * parameters.range_noise
     if parameters.range_resolution:
@@ -101,14 +81,6 @@ def intensities(surface: NDArray[np.uint8], noise: NDArray[np.float64]) -> NDArr
     """Return the calibrated reflectivity of each return, a whole number from 0 to 255."""
     spread = noise * _REFLECTIVITY_SPREAD
     return np.clip(np.round(_REFLECTIVITY[surface] + spread), 0, 255).astype(np.float32)
-
-
-_SCENES = {
-    SceneKind.INDOOR: indoor_scene,
-    SceneKind.STOREYS: storeys_scene,
-    SceneKind.RAMP: ramp_scene,
-    SceneKind.STREET: street_scene,
-}
 
 
 class Stream(IntEnum):
@@ -170,7 +142,8 @@ class SimulatedScan:
             )
 
         offset = np.column_stack([np.zeros((3, 3)), metres])
-        return SimulatedScan(
+        return replace(
+            self,
             number=self.number + number,
             start=self.start + seconds,
             returns=shifted(self.returns),
@@ -182,8 +155,13 @@ class SimulatedScan:
 
 def build_scene(parameters: SimulationParameters, block: int = 0) -> Scene:
     """Build one block of the scene: the same for every drive."""
-    random = random_stream(parameters, block, Stream.SCENE)
-    return _SCENES[parameters.scene](random, parameters.glass)
+    build = {
+        SceneKind.INDOOR: indoor_scene,
+        SceneKind.STOREYS: storeys_scene,
+        SceneKind.RAMP: ramp_scene,
+        SceneKind.STREET: street_scene,
+    }[parameters.scene]
+    return build(random_stream(parameters, block, Stream.SCENE), parameters.glass)
 
 
 def random_stream(
@@ -214,15 +192,10 @@ class Drive:
         self.parameters = parameters
         self.block = block
         self.scene = build_scene(parameters, block)
-        self.robot: Trajectory = drive(self.scene.robot_route, parameters.robot_speed, duration)
-        self.movers: Movers = populate(
-            self.scene,
-            parameters.walkers,
-            parameters.queuers,
-            parameters.machines,
-            duration,
-            random_stream(parameters, block, Stream.MOVERS),
-        )
+        self.robot = drive(self.scene.robot_route, parameters.robot_speed, duration)
+        random = random_stream(parameters, block, Stream.MOVERS)
+        moving = parameters.walkers, parameters.queuers, parameters.machines
+        self.movers = populate(self.scene, *moving, duration, random)
 
     def scans(
         self, columns: int, *, every: int = 1, stream: Stream = Stream.SENSOR
@@ -241,19 +214,13 @@ class Drive:
         stream : Stream, optional
             The random numbers of the sensor.
         """
-        sensor_random = random_stream(self.parameters, self.block, stream)
-        drift = Drift(self.parameters, random_stream(self.parameters, self.block, Stream.DRIFT))
-        number = 0
-        while True:
-            yield self._scan(number, columns, drift.step(), sensor_random)
-            number += every
+        random = random_stream(self.parameters, self.block, stream)
+        errors = drift(self.parameters, random_stream(self.parameters, self.block, Stream.DRIFT))
+        for number, error in zip(count(step=every), errors, strict=False):
+            yield self._scan(number, columns, error, random)
 
     def _scan(
-        self,
-        number: int,
-        columns: int,
-        error: NDArray[np.float64],
-        random: np.random.Generator,
+        self, number: int, columns: int, error: NDArray[np.float64], random: np.random.Generator
     ) -> SimulatedScan:
         """Turn the sensor once."""
         parameters = self.parameters
@@ -269,14 +236,9 @@ class Drive:
         origins = eyes[turn.firings]
         directions = np.einsum("nij,nj->ni", robot_turns[turn.firings], turn.directions)
         still = first_hits(self.scene.shapes, origins, directions)
+        movers, frames = self.movers, self.movers.at(times, robot[:-1])
         moving = first_moving_hits(
-            self.movers.shapes,
-            self.movers.starts,
-            self.movers.reach,
-            self.movers.at(times, robot[:-1]),
-            turn.firings,
-            origins,
-            directions,
+            movers.shapes, movers.starts, movers.reach, frames, turn.firings, origins, directions
         )
         true_pose = pose_matrix(eyes[-1], robot[-1, 3], robot[-1, 4])
         estimated_pose = pose_matrix(eyes[-1] + error[:3], robot[-1, 3] + error[3], robot[-1, 4])

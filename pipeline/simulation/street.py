@@ -4,13 +4,14 @@ The road rises to its middle and falls again, so that streets can be put end to 
 in metres; heights are above the road.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.construction import Builder
+from pipeline.simulation.construction import Builder, Span
 from pipeline.simulation.movers import car_shapes
-from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import MachineKind, Place, Scene, Surface, Walkways
 
 LENGTH, WIDTH = 120.0, 40.0
 _MIDDLE = WIDTH / 2
@@ -23,15 +24,9 @@ _TRANSVERSE = 3.0  # x at which the robot crosses, and as far from the other end
 
 
 def street_scene(random: np.random.Generator, glass: bool = True) -> Scene:
-    """Build the street.
+    """Draw a street: the slope of its road (2 to 6 %), houses, trees and parked cars.
 
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        What varies from one street to the next is drawn from it: the slope of the road (2 to 6 %),
-        houses, trees and parked cars.
-    glass : bool, optional
-        Whether shop windows let rays pass; otherwise they are solid walls.
+    Shop windows let rays pass; without `glass` they are solid walls.
     """
     slope = random.uniform(0.02, 0.06)
     walkways = _walkways(slope)
@@ -90,7 +85,7 @@ def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> NDArray
     return points
 
 
-def _add_ground(builder: Builder, x: tuple[float, float]) -> None:
+def _add_ground(builder: Builder, x: Span) -> None:
     """Add the road, and the pavements behind their kerbs."""
     builder.floor(x, (_MIDDLE - _ROAD, _MIDDLE + _ROAD))
     for side in (-1, 1):
@@ -98,12 +93,10 @@ def _add_ground(builder: Builder, x: tuple[float, float]) -> None:
         builder.box(x, (y[0], y[1]), (-0.3, _KERB), Surface.FLOOR)
 
 
-def _add_houses(
-    builder: Builder, x: tuple[float, float], side: int, random: np.random.Generator
-) -> None:
+def _add_houses(builder: Builder, x: Span, side: int, random: np.random.Generator) -> None:
     """Add houses side by side, each with its own height, set-back, and windows."""
 
-    def between(near: float, far: float) -> tuple[float, float]:
+    def between(near: float, far: float) -> Span:
         y = sorted((_MIDDLE + side * near, _MIDDLE + side * far))
         return y[0], y[1]
 
@@ -122,17 +115,11 @@ def _add_houses(
         builder.box((start, end), back, (first, height), Surface.WALL)
         if rooms:
             builder.box((start, end), between(front + 3.0, WIDTH / 2), (0.0, 3.0), Surface.WALL)
+            deep = between(front + 0.3, front + 3.0)
             for side_wall in (start, end - 0.2):
-                builder.box(
-                    (side_wall, side_wall + 0.2),
-                    between(front + 0.3, front + 3.0),
-                    (0.0, 3.0),
-                    Surface.WALL,
-                )
-        for number, bottom in enumerate(storeys):
-            top = storeys[number + 1] if number + 1 < len(storeys) else height
-            strips = ((bottom, bottom + 0.9), (bottom + 2.3, top))
-            for strip in strips:
+                builder.box((side_wall, side_wall + 0.2), deep, (0.0, 3.0), Surface.WALL)
+        for bottom, top in pairwise([*storeys, height]):
+            for strip in ((bottom, bottom + 0.9), (bottom + 2.3, top)):
                 builder.box((start, end), between(front, front + 0.3), strip, Surface.WALL)
         columns = max(2, round((end - start) / 3.0) + 1)
         for middle in np.linspace(start + 0.3, end - 0.3, columns):
@@ -141,9 +128,7 @@ def _add_houses(
         start = end
 
 
-def _add_trees_and_lamps(
-    builder: Builder, x: tuple[float, float], side: int, random: np.random.Generator
-) -> None:
+def _add_trees_and_lamps(builder: Builder, x: Span, side: int, random: np.random.Generator) -> None:
     """Add trees, whose crowns are many clumps of leaves, and lamp posts between them."""
     y = _MIDDLE + side * _TREES
     for place in np.arange(x[0] + 6.0, x[1] - 3.0, 10.0):
@@ -156,31 +141,22 @@ def _add_trees_and_lamps(
         clumps = random.normal(size=(30, 3)) * [1.0, 1.0, 0.8] + [place, y, trunk + 1.6]
         clumps[:, 2] = np.maximum(clumps[:, 2], 2.4)  # people walk under them
         for clump, size in zip(clumps, random.uniform(0.1, 0.4, len(clumps)), strict=True):
-            spans = [(float(middle - size), float(middle + size)) for middle in clump[:2]]
-            # The bounds of a box on a slope are above the floor, which is what clump[2] is.
-            height = (float(clump[2] - size), float(clump[2] + size))
-            builder.box(spans[0], spans[1], height, Surface.VEGETATION)
+            # The bounds of a box on a slope are above the floor, as the clump's height is.
+            wide, deep, high = ((middle - size, middle + size) for middle in clump)
+            builder.box(wide, deep, high, Surface.VEGETATION)
     for place in (x[0] + 11.0, x[0] + 51.0):
         builder.cylinder(place, y, 0.08, 5.0)
 
 
-def _add_parked_cars(
-    builder: Builder, x: tuple[float, float], side: int, random: np.random.Generator
-) -> None:
+def _add_parked_cars(builder: Builder, along: Span, side: int, random: np.random.Generator) -> None:
     """Park cars along the kerb, but for gaps and crossings."""
-    for place in np.arange(x[0] + 9.0, x[1] - 6.0, 6.0):
+    for place in np.arange(along[0] + 9.0, along[1] - 6.0, 6.0):
         free = all(abs(place - crossing) > 5.0 for crossing in _CROSSINGS)
         if not free or random.random() < 0.35:
             continue
-        middle = (place + random.uniform(-0.4, 0.4), _MIDDLE + side * _PARKING)
-        car = car_shapes(random)
-        for (x0, y0, z0, x1, y1, z1, _, _), surface in zip(car.boxes, car.box_surface, strict=True):
-            builder.box(
-                (middle[0] + x0, middle[0] + x1),
-                (middle[1] + y0, middle[1] + y1),
-                (z0, z1),
-                Surface(surface),
-            )
+        x, y = place + random.uniform(-0.4, 0.4), _MIDDLE + side * _PARKING
+        for x0, y0, z0, x1, y1, z1, _, _ in car_shapes(random).boxes:
+            builder.box((x + x0, x + x1), (y + y0, y + y1), (z0, z1), Surface.VEHICLE)
 
 
 def _walkways(slope: float) -> Walkways:

@@ -8,20 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.construction import Builder, glass_wall, passage, window
-from pipeline.simulation.furnishing import (
-    DESK,
-    PILLAR,
-    PLANT,
-    SEATS,
-    TABLE,
-    Furnisher,
-    Piece,
-    Room,
-    ways_of,
-)
-from pipeline.simulation.scene import MachineKind, Place, Scene, Walkways, on_floor
-from pipeline.simulation.shapes import Shapes, Surface
+from pipeline.simulation import construction as c
+from pipeline.simulation.construction import glass_wall, passage, window
+from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall
@@ -31,7 +20,7 @@ STOREY = 3.2
 
 _LANE = 4.0  # width of the ramp's lane, along the south side
 _LANDING = 2.5  # length of the flat part at either end of the lane
-_UPSTAIRS = Room((_WALL, LENGTH - _WALL), (_LANE + _WALL, WIDTH - _WALL))
+_UPSTAIRS = c.Room((_WALL, LENGTH - _WALL), (_LANE + _WALL, WIDTH - _WALL))
 
 PLATFORM = 1.2
 """Height of the loading hall's platform above its floor."""
@@ -45,13 +34,7 @@ def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     """Build two storeys of 630 m², each a hall with a partition, and a ramp in a lane beside them.
 
     The ramp rises by 3.2 m over 25 m: 12.8 %. The robot goes up it and down again, people too.
-
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        What varies from one building to the next is drawn from it.
-    glass : bool, optional
-        Whether panes let rays pass; otherwise they are solid walls.
+    Panes let rays pass; without `glass` they are solid walls.
     """
     scene = Scene(
         shapes=Shapes.of(),
@@ -64,14 +47,14 @@ def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         machine_speed=1.0,
         size=(LENGTH, WIDTH),
     )
-    builder = Builder(glass)
+    builder = c.Builder(glass)
     _add_building(builder)
-    furnisher = Furnisher(builder, random, ways_of(scene))
+    furnisher = c.Furnisher(builder, random, scene)
     builder.cabinet((25.5, 27.4), (19.7, 20.3), 1.05)
     furnisher.take((25.5, 27.4), (19.7, 20.3))
     _furnish_storey(furnisher, random)
     with builder.on(STOREY):
-        _furnish_storey(Furnisher(builder, random, ways_of(scene, rounds=False)), random)
+        _furnish_storey(c.Furnisher(builder, random, scene, rounds=False), random)
     scene = replace(scene, shapes=builder.shapes())
     return scene.mirrored(0) if random.random() < 0.5 else scene
 
@@ -92,26 +75,23 @@ def _route_of_storeys() -> NDArray[np.float64]:
     return np.concatenate([on_floor(lower), on_floor(upper, STOREY), on_floor([foot])])
 
 
-def _furnish_storey(furnisher: Furnisher, random: np.random.Generator) -> None:
+def _furnish_storey(furnisher: c.Furnisher, random: np.random.Generator) -> None:
     """Furnish one storey, to either side of its partition."""
     furnisher.take((LENGTH / 2 - 0.3, LENGTH / 2 + 0.3), _UPSTAIRS.y)
-    furnisher.free_standing(_UPSTAIRS, PILLAR, 5)
-    furnisher.free_standing(_UPSTAIRS, SEATS, int(random.integers(3, 6)))
-    furnisher.free_standing(_UPSTAIRS, DESK, int(random.integers(3, 7)))
-    furnisher.free_standing(_UPSTAIRS, PLANT, 4)
+    furnisher.free_standing(_UPSTAIRS, c.PILLAR, 5)
+    furnisher.free_standing(_UPSTAIRS, c.SEATS, int(random.integers(3, 6)))
+    furnisher.free_standing(_UPSTAIRS, c.DESK, int(random.integers(3, 7)))
+    furnisher.free_standing(_UPSTAIRS, c.PLANT, 4)
     furnisher.along_walls(_UPSTAIRS, int(random.integers(5, 9)), (1.0, 3.0), 0.6, (0.9, 2.0))
 
 
-def _add_building(builder: Builder) -> None:
+def _add_building(builder: c.Builder) -> None:
     """Add floors, walls, and the ramp between the landings."""
     clear = STOREY - 0.3
     builder.floor((0, LENGTH), (0, WIDTH))
     builder.ceiling((0, LENGTH), (_LANE, WIDTH), clear)
-    ways_in = {
-        0.0: passage(0.4, 2.4),
-        STOREY: passage(LENGTH - 2.4, LENGTH - 0.4),
-    }
-    for base, way_in in ways_in.items():
+    ways_in = ((0.0, passage(0.4, 2.4)), (STOREY, passage(LENGTH - 2.4, LENGTH - 0.4)))
+    for base, way_in in ways_in:
         with builder.on(base):
             if base:
                 builder.box((0, LENGTH), (_LANE, WIDTH), (-0.1, 0.0), Surface.FLOOR)
@@ -122,11 +102,8 @@ def _add_building(builder: Builder) -> None:
             builder.wall("y", 0.0, 0.0, WIDTH, (window(10, 14), glass_wall(17, 20)), STOREY)
             builder.wall("y", LENGTH, 0.0, WIDTH, (window(8, 14),), STOREY)
             builder.wall("x", _LANE, 0.0, LENGTH, (way_in,), clear)
-            openings = (
-                passage(_LANE + 1.0, _LANE + 7.5),
-                glass_wall(_LANE + 8.0, _LANE + 12.0),
-                passage(WIDTH - 8.5, WIDTH - 1.0),
-            )
+            south, north = passage(_LANE + 1.0, _LANE + 7.5), passage(WIDTH - 8.5, WIDTH - 1.0)
+            openings = (south, glass_wall(_LANE + 8.0, _LANE + 12.0), north)
             builder.wall("y", LENGTH / 2, _LANE, WIDTH, openings, clear)
     slope = STOREY / (LENGTH - 2 * _LANDING)
     with builder.on(-slope * _LANDING, slope):
@@ -164,28 +141,22 @@ def _ways_of_storeys() -> Walkways:
     return Walkways.along(places, [lower, ramp, upper])
 
 
-def _add_pallet(builder: Builder, x: float, y: float) -> None:
+def _add_pallet(builder: c.Builder, x: float, y: float) -> None:
     """Add a pallet with boxes stacked on it."""
     builder.cabinet((x - 0.6, x + 0.6), (y - 0.4, y + 0.4), 0.15)
     builder.box((x - 0.55, x + 0.5), (y - 0.35, y + 0.38), (0.15, 0.9))
     builder.box((x - 0.55, x + 0.1), (y - 0.3, y + 0.3), (0.9, 1.4))
 
 
-_TALL_PILLAR = Piece(0.6, 0.6, lambda builder, x, y: builder.pillar(x, y, _ROOF))
-_PALLET = Piece(1.2, 0.8, _add_pallet)
+_TALL_PILLAR = c.Piece(0.6, 0.6, lambda builder, x, y: builder.pillar(x, y, _ROOF))
+_PALLET = c.Piece(1.2, 0.8, _add_pallet)
 
 
 def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     """Build a loading hall: a floor, a platform 1.2 m above it, and a ramp of 12 % between them.
 
-    The machines drive over the ramp, as the robot and the people do.
-
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        What varies from one hall to the next is drawn from it.
-    glass : bool, optional
-        Whether panes let rays pass; otherwise they are solid walls.
+    The machines drive over the ramp, as the robot and the people do. Panes let rays pass; without
+    `glass` they are solid walls.
     """
     up, down = _over(12.6), _over(15.4)[::-1]
     turn = [(25.0, 12.6, PLATFORM), (25.0, 15.4, PLATFORM)]
@@ -200,19 +171,19 @@ def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )
-    builder = Builder(glass)
+    builder = c.Builder(glass)
     _add_hall(builder)
-    furnisher = Furnisher(builder, random, ways_of(scene))
+    furnisher = c.Furnisher(builder, random, scene)
     furnisher.take((_FOOT - 1.0, _EDGE), (_RAMP[0] - 0.2, _RAMP[1] + 0.2))
     builder.cabinet((16.2, 16.8), (2.8, 5.2), 1.05)
     furnisher.take((16.2, 16.8), (2.8, 5.2))
-    low = Room((_WALL, _EDGE - 1.0), (_WALL, WIDTH - _WALL))
-    high = Room((_EDGE + 1.0, LENGTH - _WALL), (_WALL, WIDTH - _WALL))
+    low = c.Room((_WALL, _EDGE - 1.0), (_WALL, WIDTH - _WALL))
+    high = c.Room((_EDGE + 1.0, LENGTH - _WALL), (_WALL, WIDTH - _WALL))
     furnisher.free_standing(low, _TALL_PILLAR, 4)
     for base, room in ((0.0, low), (PLATFORM, high)):
         with builder.on(base):
             furnisher.along_walls(room, int(random.integers(4, 8)), (1.5, 3.0), 0.9, (1.0, 3.0))
-            furnisher.free_standing(room, TABLE, int(random.integers(2, 5)))
+            furnisher.free_standing(room, c.TABLE, int(random.integers(2, 5)))
             furnisher.free_standing(room, _PALLET, int(random.integers(4, 9)))
     scene = replace(scene, shapes=builder.shapes())
     return scene.mirrored(0) if random.random() < 0.5 else scene
@@ -229,12 +200,11 @@ def _route_of_hall() -> NDArray[np.float64]:
     upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]
     back = [(7.0, 8.6), (7.0, 22.0), (2.0, 22.0)]
     up = on_floor(_over(8.6))
-    return np.concatenate(
-        [on_floor(lower), up, on_floor(upper, PLATFORM), up[::-1], on_floor(back)]
-    )
+    ways = (on_floor(lower), up, on_floor(upper, PLATFORM), up[::-1], on_floor(back))
+    return np.concatenate(ways)
 
 
-def _add_hall(builder: Builder) -> None:
+def _add_hall(builder: c.Builder) -> None:
     """Add floor, platform, ramp, roof, and walls with gates."""
     height = _ROOF
     builder.floor((0, LENGTH), (0, WIDTH))

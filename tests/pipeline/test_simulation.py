@@ -2,6 +2,7 @@
 
 import gc
 import tracemalloc
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from pipeline.simulation import (
     simulate,
     simulate_scans,
 )
-from pipeline.simulation.motion import Drift
+from pipeline.simulation.motion import drift
 from pipeline.simulation.simulate import RING_ELEVATIONS, Drive, measured_ranges, rotation
 
 SHORT = {"scans": 40, "rotations_per_scan": 15}
@@ -245,8 +246,7 @@ def test_ranges_outside_the_limits_are_not_reported():
 
 def test_drift_starts_at_zero_and_stays_within_its_deviation():
     parameters = SimulationParameters(rotations_per_scan=100)
-    drift = Drift(parameters, np.random.default_rng(0))
-    errors = np.stack([drift.step() for _ in range(20_000)])
+    errors = np.stack(list(islice(drift(parameters, np.random.default_rng(0)), 20_000)))
     assert not errors[0].any()
     assert errors[:, :3].std(axis=0) == pytest.approx([parameters.drift_position] * 3, rel=0.05)
     assert np.degrees(errors[:, 3].std()) == pytest.approx(parameters.drift_heading, rel=0.05)

@@ -22,7 +22,7 @@ from pipeline.simulation.meshes.raycasting import Caster, Target, open3d
 from pipeline.simulation.meshes.simulate import Recording, sweep
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
 from pipeline.simulation.points import Points
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 try:
     open3d()

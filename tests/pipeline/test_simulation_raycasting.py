@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.simulation.raycasting import first_hits, first_moving_hits
-from pipeline.simulation.shapes import Shapes, Surface
+from pipeline.simulation.scene import Shapes, Surface
 
 
 def boxes(*corners, slope=(0.0, 0.0), surface=Surface.WALL):

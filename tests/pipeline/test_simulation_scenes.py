@@ -8,7 +8,7 @@ from pipeline.simulation.indoor import LENGTH, WIDTH, indoor_scene
 from pipeline.simulation.motion import CLEARANCE, TURN_RATE, Trajectory, drive, keep_clear
 from pipeline.simulation.movers import WALKING_SPEED, populate
 from pipeline.simulation.raycasting import first_hits
-from pipeline.simulation.shapes import Shapes
+from pipeline.simulation.scene import Shapes
 
 SQUARE = np.array([(0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (4.0, 4.0, 0.0), (0.0, 4.0, 0.0)])
 TIMES = np.arange(0, 200, 0.25)

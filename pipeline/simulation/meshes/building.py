@@ -5,10 +5,11 @@ import numpy as np
 from pipeline.simulation.meshes import furniture
 from pipeline.simulation.meshes.mesh import tubes
 from pipeline.simulation.meshes.stage import Floor, Matter, Stage, level
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 Place = tuple[float, float]
 Bounds = tuple[float, float, float, float]
+Hole = tuple[float, float, float, float]  # along the wall, width, bottom and top
 
 
 def level_ground(stage: Stage, bounds: Bounds, albedo: float, beyond: float = 1.0) -> None:
@@ -31,21 +32,13 @@ def wall(
     end: Place,
     base: float,
     high: float,
-    openings: tuple[tuple[float, float, float, float], ...] = (),
+    openings: tuple[Hole, ...] = (),
     thick: float = 0.12,
     matter: Matter = Matter.SOLID,
 ) -> None:
-    """Build a wall from place to place, along x or y.
+    """Build a wall from place to place along x or y, its foot at `base`; one of glass has a frame.
 
-    Parameters
-    ----------
-    start, end : (x, y)
-    base, high : float
-        Height of its foot, and its own height, in metres.
-    openings : tuple of (along, width, bottom, top)
-        Holes: where each begins along the wall, and its heights above the foot.
-    matter : Matter
-        A wall of glass has a frame.
+    Each opening says where it begins along the wall, its width, and its heights above the foot.
     """
     first, last = np.array(start, dtype=np.float64), np.array(end, dtype=np.float64)
     length = float(np.linalg.norm(last - first))
@@ -74,9 +67,7 @@ def wall(
         stage.boxes(rows, Surface.WALL, spot)
 
 
-def windows(
-    stage: Stage, length: float, high: float
-) -> tuple[tuple[float, float, float, float], ...]:
+def windows(stage: Stage, length: float, high: float) -> tuple[Hole, ...]:
     """Draw a row of windows along a wall."""
     u = stage.random.uniform
     wide, gap, sill = u(0.9, 2.4), u(0.5, 1.6), u(0.0, 1.0)
@@ -91,22 +82,20 @@ def outer_wall(stage: Stage, start: Place, end: Place, base: float, high: float)
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     holes = windows(stage, length, high) if random.random() < 0.8 else ()
     wall(stage, start, end, base, high, holes, thick=0.3)
+    if not holes:
+        return
     yaw = float(np.arctan2(end[1] - start[1], end[0] - start[0]))
-    panes = [
-        [along + wide / 2, 0, (low + top) / 2, wide, 0.012, top - low]
-        for along, wide, low, top in holes
-    ]
-    spot = (start[0], start[1], base, yaw)
-    if panes:
-        stage.boxes(panes, Surface.WALL, spot, matter=Matter.GLASS)
-    if holes and random.random() < 0.4:
-        for along, wide, _, top in holes:
-            if random.random() < 0.5:
-                share = random.uniform(0.25, 1.0)
-                inside = np.array([np.cos(yaw), np.sin(yaw)]) * (along + wide * share / 2)
-                inside += 0.26 * np.array([-np.sin(yaw), np.cos(yaw)])
-                at = (start[0] + inside[0], start[1] + inside[1], base, yaw - np.pi / 2)
-                furniture.curtain(stage, at, wide * share, top + 0.1)
+    panes = [[along + wide / 2, 0, (low + top) / 2, wide, 0.012, top - low]
+             for along, wide, low, top in holes]  # fmt: skip
+    stage.boxes(panes, Surface.WALL, (*start, base, yaw), matter=Matter.GLASS)
+    curtains = random.random() < 0.4
+    for along, wide, _, top in holes:
+        if curtains and random.random() < 0.5:
+            share = random.uniform(0.25, 1.0)
+            inside = np.array([np.cos(yaw), np.sin(yaw)]) * (along + wide * share / 2)
+            inside += 0.26 * np.array([-np.sin(yaw), np.cos(yaw)])
+            at = (start[0] + inside[0], start[1] + inside[1], base, yaw - np.pi / 2)
+            furniture.curtain(stage, at, wide * share, top + 0.1)
 
 
 def ceiling(stage: Stage, bounds: Bounds, high: float, base: float = 0.0) -> None:
@@ -138,7 +127,6 @@ def pillar(stage: Stage, x: float, y: float, high: float) -> None:
     u = stage.random.uniform
     wide = u(0.2, 0.5)
     if u() < 0.5:
-        mesh = tubes([[[x, y, 0], [x, y, high]]], wide * 0.6, 14)
-        stage.mesh(mesh, Surface.WALL)
+        stage.mesh(tubes([[[x, y, 0], [x, y, high]]], wide * 0.6, 14), Surface.WALL)
     else:
         stage.boxes([0, 0, high / 2, wide, wide, high], Surface.WALL, (x, y, 0.0, 0.0))

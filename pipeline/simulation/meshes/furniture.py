@@ -1,20 +1,13 @@
 """Things that stand in rooms, each placed at x, y, z and turned by a yaw (x ahead, y left)."""
 
+from itertools import product
+
 import numpy as np
+from numpy.typing import ArrayLike
 
-from pipeline.simulation.meshes.mesh import Mesh, boxes, leaves, sheet, tubes
-from pipeline.simulation.meshes.stage import Seat, Stage
-from pipeline.simulation.shapes import Surface
-
-At = tuple[float, float, float, float]
-_F = Surface.FURNITURE
-
-
-def place(
-    stage: Stage, mesh: Mesh, at: At, surface: Surface = _F, albedo: float | None = None
-) -> None:
-    """Put a mesh somewhere."""
-    stage.mesh(mesh.placed(*at), surface, albedo)
+from pipeline.simulation.meshes.mesh import Mesh, boxes, corners, leaves, sheet, tubes
+from pipeline.simulation.meshes.stage import At, Seat, Stage
+from pipeline.simulation.scene import Surface
 
 
 def desk(stage: Stage, at: At, clutter: float = 1.0) -> None:
@@ -25,11 +18,8 @@ def desk(stage: Stage, at: At, clutter: float = 1.0) -> None:
     if u() < 0.5:
         rows += [[0, s * (long / 2 - 0.03), high / 2, deep * 0.9, 0.03, high] for s in (-1, 1)]
     else:
-        rows += [
-            [sx * (deep / 2 - 0.04), sy * (long / 2 - 0.05), high / 2, 0.05, 0.05, high]
-            for sx in (-1, 1)
-            for sy in (-1, 1)
-        ]
+        legs = corners(deep / 2 - 0.04, long / 2 - 0.05)
+        rows += [[x, y, high / 2, 0.05, 0.05, high] for x, y in legs]
     if u() < 0.5:
         rows.append([0.05, u(0.3, 0.5) * long * 0.7, 0.3, deep * 0.7, 0.4, 0.58])
     for y in ([0.0], [-0.3, 0.3], [0.1], [])[int(u(0, 4))]:
@@ -42,42 +32,35 @@ def desk(stage: Stage, at: At, clutter: float = 1.0) -> None:
     for _ in range(stage.random.poisson(4 * clutter)):
         size = u(0.05, 0.3, 3) * [1, 1, 0.8]
         rows.append([u(-0.35, 0.35) * deep, u(-0.45, 0.45) * long, high + size[2] / 2, *size])
-    stage.boxes(rows, _F, at)
+    stage.boxes(rows, at=at)
 
 
 def office_chair(stage: Stage, at: At) -> None:
     """Place a swivel chair on a star of five, a seat among those that can be taken."""
     u = stage.random.uniform
     seat = u(0.43, 0.52)
-    turn = u(0, 2 * np.pi)
-    star = [
-        [[0, 0, 0.09], [0.3 * np.cos(a), 0.3 * np.sin(a), 0.06]]
-        for a in turn + 2 * np.pi * np.arange(5) / 5
+    angles = u(0, 2 * np.pi) + 2 * np.pi * np.arange(5) / 5
+    star = [[[0, 0, 0.09], [0.3 * np.cos(a), 0.3 * np.sin(a), 0.06]] for a in angles]
+    back = [-0.22, 0, seat + 0.38, 0.06, 0.42, u(0.4, 0.65)]
+    parts = [
+        boxes([[0, 0, seat, 0.46, 0.46, 0.07], back]),
+        tubes([[[0, 0, 0.1], [0, 0, seat]]], 0.03, 5),
+        tubes(star, 0.022, 4),
     ]
-    mesh = Mesh.joined(
-        [
-            boxes(
-                [[0, 0, seat, 0.46, 0.46, 0.07], [-0.22, 0, seat + 0.38, 0.06, 0.42, u(0.4, 0.65)]]
-            ),
-            tubes([[[0, 0, 0.1], [0, 0, seat]]], 0.03, 5),
-            tubes(star, 0.022, 4),
-        ]
-    )
     if u() < 0.5:
-        arms = boxes([[0, s * 0.26, seat + 0.2, 0.28, 0.05, 0.04] for s in (-1, 1)])
-        mesh = Mesh.joined([mesh, arms])
-    place(stage, mesh, at)
-    stage.seats.append(Seat(*at[:3], at[3], seat))
+        parts.append(boxes([[0, s * 0.26, seat + 0.2, 0.28, 0.05, 0.04] for s in (-1, 1)]))
+    stage.mesh(Mesh.joined(parts), at=at)
+    stage.seats.append(Seat(*at, seat))
 
 
 def chair(stage: Stage, at: At) -> None:
     """Place a chair with four thin legs."""
     u = stage.random.uniform
-    legs = [[[x, y, 0], [x * 0.9, y * 0.9, 0.44]] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    legs = [[[x, y, 0], [x * 0.9, y * 0.9, 0.44]] for x, y in corners(0.2, 0.2)]
     back = boxes([[0, 0, 0.45, 0.42, 0.42, 0.04], [-0.2, 0, u(0.7, 0.78), 0.03, 0.4, u(0.15, 0.4)]])
     posts = tubes([[[-0.2, y, 0.45], [-0.21, y, 0.85]] for y in (-0.18, 0.18)], 0.014, 4)
-    place(stage, Mesh.joined([back, posts, tubes(legs, 0.015, 4)]), at)
-    stage.seats.append(Seat(*at[:3], at[3], 0.45))
+    stage.mesh(Mesh.joined([back, posts, tubes(legs, 0.015, 4)]), at=at)
+    stage.seats.append(Seat(*at))
 
 
 def table(stage: Stage, at: At, chairs: int = 4) -> None:
@@ -85,22 +68,21 @@ def table(stage: Stage, at: At, chairs: int = 4) -> None:
     u = stage.random.uniform
     long, deep = max(0.8, 0.35 * chairs), u(0.7, 1.1)
     rows = [[0, 0, 0.74, deep, long, 0.04]]
-    rows += [[sx * (deep / 2 - 0.08), sy * (long / 2 - 0.08), 0.36, 0.06, 0.06, 0.72]
-             for sx in (-1, 1) for sy in (-1, 1)]  # fmt: skip
+    legs = corners(deep / 2 - 0.08, long / 2 - 0.08)
+    rows += [[x, y, 0.36, 0.06, 0.06, 0.72] for x, y in legs]
     for _ in range(stage.random.poisson(2)):
-        rows.append(
-            [u(-0.3, 0.3) * deep, u(-0.4, 0.4) * long, 0.83, u(0.05, 0.3), u(0.05, 0.3), 0.14]
-        )
-    stage.boxes(rows, _F, at)
+        top = [u(-0.3, 0.3) * deep, u(-0.4, 0.4) * long, 0.83]
+        rows.append([*top, u(0.05, 0.3), u(0.05, 0.3), 0.14])
+    stage.boxes(rows, at=at)
     x, y, z, yaw = at
+    cosine, sine = np.cos(yaw), np.sin(yaw)
     for number in range(chairs):
         side = 1 if number % 2 else -1
-        along = (number // 2 + 0.5) / max(1, (chairs + 1) // 2) - 0.5
-        local = np.array([side * (deep / 2 + u(0.1, 0.45)), along * long])
-        at_x = x + local[0] * np.cos(yaw) - local[1] * np.sin(yaw)
-        at_y = y + local[0] * np.sin(yaw) + local[1] * np.cos(yaw)
+        along = ((number // 2 + 0.5) / max(1, (chairs + 1) // 2) - 0.5) * long
+        out = side * (deep / 2 + u(0.1, 0.45))
         facing = yaw + (np.pi if side > 0 else 0) + u(-0.4, 0.4)
-        (chair if u() < 0.7 else office_chair)(stage, (at_x, at_y, z, facing))
+        spot = (x + out * cosine - along * sine, y + out * sine + along * cosine, z, facing)
+        (chair if u() < 0.7 else office_chair)(stage, spot)
 
 
 def shelf(stage: Stage, at: At, long: float = 1.0) -> None:
@@ -119,22 +101,21 @@ def shelf(stage: Stage, at: At, long: float = 1.0) -> None:
             wide = u(0.03, 0.3)
             if u() < 0.65:
                 tall = u(0.12, 0.9) * (high / boards - 0.05)
-                rows.append(
-                    [u(-0.05, 0.05), y + wide / 2, z + tall / 2, deep * u(0.5, 0.9), wide, tall]
-                )
+                middle = [u(-0.05, 0.05), y + wide / 2, z + tall / 2]
+                rows.append([*middle, deep * u(0.5, 0.9), wide, tall])
             y += wide + (u(0, 0.3) if u() < 0.3 else 0.005)
-    stage.boxes(rows, _F, at)
+    stage.boxes(rows, at=at)
 
 
-def cabinet(stage: Stage, at: At, high: float | None = None) -> None:
+def cabinet(stage: Stage, at: At) -> None:
     """Place a closed cabinet, perhaps with things on top."""
     u = stage.random.uniform
-    tall = u(0.7, 2.0) if high is None else high
+    tall = u(0.7, 2.0)
     rows = [[0, 0, tall / 2, u(0.4, 0.6), u(0.5, 1.2), tall]]
     for _ in range(stage.random.poisson(1.2)):
         size = u(0.1, 0.4, 3)
         rows.append([0, u(-0.3, 0.3), tall + size[2] / 2, *size])
-    stage.boxes(rows, _F, at)
+    stage.boxes(rows, at=at)
 
 
 def sofa(stage: Stage, at: At) -> None:
@@ -142,11 +123,15 @@ def sofa(stage: Stage, at: At) -> None:
     long = stage.random.uniform(1.4, 2.3)
     rows = [[0, 0, 0.22, 0.85, long, 0.42], [-0.36, 0, 0.5, 0.2, long, 0.6]]
     rows += [[0, s * long / 2, 0.32, 0.85, 0.16, 0.62] for s in (-1, 1)]
-    stage.boxes(rows, _F, at)
+    stage.boxes(rows, at=at)
+    _seat_two(stage, at, long, 0.42)
+
+
+def _seat_two(stage: Stage, at: At, long: float, height: float) -> None:
     x, y, z, yaw = at
     for s in (-0.25, 0.25):
         seat = (x - s * long * np.sin(yaw), y + s * long * np.cos(yaw))
-        stage.seats.append(Seat(*seat, z, yaw, 0.42))
+        stage.seats.append(Seat(*seat, z, yaw, height))
 
 
 def plant(stage: Stage, at: At, high: float | None = None) -> None:
@@ -154,18 +139,16 @@ def plant(stage: Stage, at: At, high: float | None = None) -> None:
     random, u = stage.random, stage.random.uniform
     tall = u(0.6, 2.2) if high is None else high
     pot = u(0.12, 0.25)
-    place(stage, tubes([[[0, 0, 0.1], [0, 0, 0.3]]], [[pot * 0.8, pot]], 8), at)
+    stage.mesh(tubes([[[0, 0, 0.1], [0, 0, 0.3]]], [[pot * 0.8, pot]], 8), at=at)
     crown = tall - 0.35
     wide = u(0.15, 0.5)
-    stems = [
-        [[0, 0, 0.3], [*u(-0.6, 0.6, 2) * wide, 0.35 + u(0.3, 1) * crown]]
-        for _ in range(int(u(2, 8)))
-    ]
-    foliage = leaves(
-        random, int(60 + 250 * wide * tall), [wide, wide, crown / 2], u(0.03, 0.12), u(0, 0.6)
-    )
-    shifted = foliage.placed(0, 0, 0.35 + crown / 2)
-    place(stage, Mesh.joined([tubes(stems, 0.008, 3), shifted]), at, Surface.VEGETATION)
+    count = int(u(2, 8))
+    tips = [[*u(-0.6, 0.6, 2) * wide, 0.35 + u(0.3, 1) * crown] for _ in range(count)]
+    stems = tubes([[[0, 0, 0.3], tip] for tip in tips], 0.008, 3)
+    count, reach = int(60 + 250 * wide * tall), [wide, wide, crown / 2]
+    foliage = leaves(random, count, reach, u(0.03, 0.12), u(0, 0.6))
+    foliage = foliage.placed(0, 0, 0.35 + crown / 2)
+    stage.mesh(Mesh.joined([stems, foliage]), Surface.VEGETATION, at)
 
 
 def curtain(stage: Stage, at: At, long: float, high: float) -> None:
@@ -173,13 +156,12 @@ def curtain(stage: Stage, at: At, long: float, high: float) -> None:
     u = stage.random.uniform
     y = np.linspace(-long / 2, long / 2, max(8, int(long / 0.05)))
     z = np.linspace(u(0.02, 0.15), high, 8)
-    fold = u(0.03, 0.07) * np.sin(2 * np.pi * y / u(0.15, 0.3)) + 0.02 * stage.random.normal(
-        size=len(y)
-    )
+    fold = u(0.03, 0.07) * np.sin(2 * np.pi * y / u(0.15, 0.3))
+    fold += 0.02 * stage.random.normal(size=len(y))
     grid = np.empty((len(y), len(z), 3))
     grid[..., 0] = fold[:, None] * np.linspace(1.2, 0.6, len(z))
     grid[..., 1], grid[..., 2] = y[:, None], z
-    place(stage, sheet(grid), at)
+    stage.mesh(sheet(grid), at=at)
 
 
 def hanging_lamp(stage: Stage, at: At, ceiling: float) -> None:
@@ -187,29 +169,24 @@ def hanging_lamp(stage: Stage, at: At, ceiling: float) -> None:
     drop = stage.random.uniform(0.2, min(1.6, 0.4 * ceiling))
     cable = tubes([[[0, 0, ceiling], [0, 0, ceiling - drop]]], 0.006, 3)
     shade = tubes([[[0, 0, ceiling - drop - 0.1], [0, 0, ceiling - drop]]], [[0.2, 0.06]], 8)
-    place(stage, Mesh.joined([cable, shade]), at)
+    stage.mesh(Mesh.joined([cable, shade]), at=at)
 
 
-def railing(stage: Stage, start: np.ndarray, end: np.ndarray, high: float = 1.05) -> None:
+def railing(stage: Stage, start: ArrayLike, end: ArrayLike, high: float = 1.05) -> None:
     """Place a handrail on posts between two places, with bars, wires or a pane's frame."""
     u = stage.random.uniform
-    length = float(np.linalg.norm(end - start))
-    posts = max(2, int(length / 1.2) + 1)
-    bars = max(2, int(length / u(0.1, 0.2))) if u() < 0.6 else 0
-    up = np.array([0, 0, high])
-    lines, radii = [], []
-    for share in np.linspace(0, 1, posts):
-        foot = start + share * (end - start)
-        lines.append([foot, foot + up])
-        radii.append(0.022)
-    for share in np.linspace(0, 1, bars):
-        foot = start + share * (end - start)
-        lines.append([foot + 0.1 * up, foot + 0.95 * up])
-        radii.append(0.008)
-    for height in [1.0] + ([0.5] if not bars else [0.1]):
-        lines.append([start + height * up, end + height * up])
-        radii.append(0.022)
-    stage.mesh(tubes(np.array(lines), np.array([[r, r] for r in radii]), 4), _F)
+    first, last, up = np.array(start), np.array(end), np.array([0, 0, high])
+    length = float(np.linalg.norm(last - first))
+    posts = np.linspace(0, 1, max(2, int(length / 1.2) + 1))
+    bars = np.linspace(0, 1, max(2, int(length / u(0.1, 0.2))) if u() < 0.6 else 0)
+    feet = first + posts[:, None] * (last - first)
+    lines = [[foot, foot + up] for foot in feet]
+    feet = first + bars[:, None] * (last - first)
+    lines += [[foot + 0.1 * up, foot + 0.95 * up] for foot in feet]
+    rails = (1.0, 0.1 if len(bars) else 0.5)
+    lines += [[first + height * up, last + height * up] for height in rails]
+    radii = np.repeat([0.022, 0.008, 0.022], [len(posts), len(bars), len(rails)])
+    stage.mesh(tubes(np.array(lines), radii[:, None], 4))
 
 
 def fence(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None:
@@ -243,7 +220,7 @@ def counter(stage: Stage, at: At, long: float = 3.0) -> None:
     for _ in range(stage.random.poisson(1.5 * long)):
         size = u(0.08, 0.4, 3)
         rows.append([u(-0.2, 0.3), u(-0.45, 0.45) * long, 1.1 + size[2] / 2, *size])
-    stage.boxes(rows, _F, at)
+    stage.boxes(rows, at=at)
 
 
 def bench(stage: Stage, at: At) -> None:
@@ -254,17 +231,15 @@ def bench(stage: Stage, at: At) -> None:
     rows += [[0, s * (long / 2 - 0.15), 0.22, 0.4, 0.06, 0.42] for s in (-1, 1)]
     if u() < 0.6:
         rows += [[-0.24, 0, z, 0.03, long, 0.1] for z in (0.62, 0.78)]
-    stage.boxes(rows, _F, at)
-    x, y, z, yaw = at
-    for s in (-0.25, 0.25):
-        stage.seats.append(Seat(x - s * long * np.sin(yaw), y + s * long * np.cos(yaw), z, yaw))
+    stage.boxes(rows, at=at)
+    _seat_two(stage, at, long, 0.45)
 
 
 def bin_(stage: Stage, at: At) -> None:
     """Place a round bin or barrel."""
     u = stage.random.uniform
     wide, tall = u(0.14, 0.3), u(0.35, 1.0)
-    place(stage, tubes([[[0, 0, wide * 0.6], [0, 0, tall - wide * 0.6]]], wide, 10), at)
+    stage.mesh(tubes([[[0, 0, wide * 0.6], [0, 0, tall - wide * 0.6]]], wide, 10), at=at)
 
 
 def sign(stage: Stage, at: At) -> None:
@@ -272,55 +247,48 @@ def sign(stage: Stage, at: At) -> None:
     u = stage.random.uniform
     high, wide = u(0.9, 1.8), u(0.4, 0.9)
     board = boxes([0, 0, high - u(0.3, 0.4), 0.02, wide, u(0.5, 0.7)])
-    legs = tubes([[[0, s * wide / 2, 0], [0, s * wide / 2, high]] for s in (-1, 1)], 0.012, 4)
-    foot = tubes(
-        [[[-0.25, s * wide / 2, 0.02], [0.25, s * wide / 2, 0.02]] for s in (-1, 1)], 0.012, 4
-    )
-    place(stage, Mesh.joined([board, legs, foot]), at)
+    ends = (-wide / 2, wide / 2)
+    lines = [[[0, y, 0], [0, y, high]] for y in ends]
+    lines += [[[-0.25, y, 0.02], [0.25, y, 0.02]] for y in ends]
+    stage.mesh(Mesh.joined([board, tubes(lines, 0.012, 4)]), at=at)
 
 
 def coat_rack(stage: Stage, at: At) -> None:
     """Place a coat rack with coats on it: much like a person."""
-    random, u = stage.random, stage.random.uniform
-    parts = [tubes([[[0, 0, 0], [0, 0, 1.8]]], 0.02, 5)]
-    parts.append(
-        tubes([[[-0.25, 0, 0.03], [0.25, 0, 0.03]], [[0, -0.25, 0.03], [0, 0.25, 0.03]]], 0.02, 4)
-    )
-    for angle in random.uniform(0, 2 * np.pi, int(u(0, 4))):
+    u = stage.random.uniform
+    cross = [[[-0.25, 0, 0.03], [0.25, 0, 0.03]], [[0, -0.25, 0.03], [0, 0.25, 0.03]]]
+    parts = [tubes([[[0, 0, 0], [0, 0, 1.8]]], 0.02, 5), tubes(cross, 0.02, 4)]
+    for angle in u(0, 2 * np.pi, int(u(0, 4))):
         foot = 0.14 * np.array([np.cos(angle), np.sin(angle), 0])
         ends = np.array([foot + [0, 0, u(0.6, 0.9)], foot * 0.8 + [0, 0, 1.5]])
         parts.append(tubes(ends, [[0.12, 0.09]], 7))
-    place(stage, Mesh.joined(parts), at)
+    stage.mesh(Mesh.joined(parts), at=at)
 
 
 def pallet(stage: Stage, at: At) -> None:
     """Place a pallet with boxes that leave gaps."""
     u = stage.random.uniform
-    rows = [[0, y, 0.07, 1.2, 0.12, 0.14] for y in (-0.35, 0, 0.35)] + [
-        [0, 0, 0.13, 1.2, 0.8, 0.03]
-    ]
+    rows = [[0, y, 0.07, 1.2, 0.12, 0.14] for y in (-0.35, 0, 0.35)]
+    rows.append([0, 0, 0.13, 1.2, 0.8, 0.03])
     tall = u(0.0, 1.6)
     z = 0.15
     while z < tall:
         layer = u(0.2, 0.45)
-        for x in (-0.4, 0.0, 0.4):
-            for y in (-0.2, 0.2):
-                if u() < 0.9:
-                    rows.append([x + u(-0.02, 0.02), y + u(-0.02, 0.02), z + layer / 2,
-                                 u(0.33, 0.4), u(0.33, 0.4), layer])  # fmt: skip
+        for x, y in product((-0.4, 0.0, 0.4), (-0.2, 0.2)):
+            if u() < 0.9:
+                middle = [x + u(-0.02, 0.02), y + u(-0.02, 0.02), z + layer / 2]
+                rows.append([*middle, u(0.33, 0.4), u(0.33, 0.4), layer])
         z += layer
-    stage.boxes(rows, _F, at)
+    stage.boxes(rows, at=at)
 
 
 def rack(stage: Stage, at: At, bays: int, levels: int, fill: float) -> None:
     """Place a pallet rack along y with uprights, beams, and pallets with gaps."""
     random, u = stage.random, stage.random.uniform
     wide, deep, floor = 2.7, 1.05, u(1.5, 1.9)
-    long = bays * wide
-    high = levels * floor
+    long, high = bays * wide, levels * floor
     rows = []
-    for bay in range(bays + 1):
-        y = -long / 2 + bay * wide
+    for y in -long / 2 + np.arange(bays + 1) * wide:
         rows += [[x, y, high / 2, 0.09, 0.09, high] for x in (-deep / 2, deep / 2)]
         rows += [[0, y, z, deep, 0.04, 0.04] for z in np.arange(0.4, high, 0.9)]
     for number in range(1, levels + 1):
@@ -331,23 +299,20 @@ def rack(stage: Stage, at: At, bays: int, levels: int, fill: float) -> None:
             if random.random() > fill:
                 continue
             y = -long / 2 + (slot + 0.5) * wide / 3
-            size = np.array([u(0.8, 1.1), u(0.6, 0.85), u(0.2, floor - 0.35)])
+            size = [u(0.8, 1.1), u(0.6, 0.85), u(0.2, floor - 0.35)]
             z = number * floor + (0.0 if number else 0.02)
-            rows += [
-                [0, y, z + 0.07, 1.1, 0.8, 0.13],
-                [u(-0.05, 0.05), y, z + 0.14 + size[2] / 2, *size],
-            ]
-    stage.boxes(rows, _F, at)
+            rows.append([0, y, z + 0.07, 1.1, 0.8, 0.13])
+            rows.append([u(-0.05, 0.05), y, z + 0.14 + size[2] / 2, *size])
+    stage.boxes(rows, at=at)
 
 
 def bicycle_stand(stage: Stage, at: At, count: int) -> None:
-    """Hoops in a row."""
+    """Place hoops in a row."""
     lines = []
-    for number in range(count):
-        y = 0.8 * (number - count / 2)
-        lines += [[[-0.3, y, 0], [-0.3, y, 0.8]], [[0.3, y, 0], [0.3, y, 0.8]],
-                  [[-0.3, y, 0.8], [0.3, y, 0.8]]]  # fmt: skip
-    place(stage, tubes(lines, 0.025, 4), at)
+    for y in 0.8 * (np.arange(count) - count / 2):
+        (low, top), (far_low, far_top) = ([[x, y, z] for z in (0, 0.8)] for x in (-0.3, 0.3))
+        lines += [[low, top], [far_low, far_top], [top, far_top]]
+    stage.mesh(tubes(lines, 0.025, 4), at=at)
 
 
 def tree(stage: Stage, at: At, high: float | None = None, fine: float = 1.0) -> None:
@@ -368,23 +333,21 @@ def tree(stage: Stage, at: At, high: float | None = None, fine: float = 1.0) -> 
         size = u(0.3, 0.55, 3) * wide * [1, 1, 0.8]
         count = int(fine * 260 * size[0] * size[1] + 60)
         clumps.append(leaves(random, count, size, u(0.06, 0.16), u(0.1, 0.6)).placed(*middle))
-    place(stage, tubes(lines, np.array(radii), 6), at, Surface.VEGETATION)
+    stage.mesh(tubes(lines, np.array(radii), 6), Surface.VEGETATION, at)
     if u() < 0.9:  # or bare, as in winter
-        place(stage, Mesh.joined(clumps), at, Surface.VEGETATION)
+        stage.mesh(Mesh.joined(clumps), Surface.VEGETATION, at)
 
 
-def hedge(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None:
+def hedge(stage: Stage, start: ArrayLike, end: ArrayLike, high: float) -> None:
     """Place a hedge of leaves between two places."""
     random = stage.random
-    length = float(np.linalg.norm(end - start))
-    count = int(length / 0.7) + 1
-    parts = []
+    first, last = np.array(start), np.array(end)
+    count = int(float(np.linalg.norm(last - first)) / 0.7) + 1
+    reach, parts = [0.55, 0.4, high / 2], []
     for share in (np.arange(count) + 0.5) / count:
-        foot = start + share * (end - start)
-        clump = leaves(
-            random, int(160 * high), [0.55, 0.4, high / 2], random.uniform(0.05, 0.1), 0.6
-        )
-        parts.append(clump.placed(foot[0], foot[1], foot[2] + high / 2))
+        x, y, z = first + share * (last - first)
+        clump = leaves(random, int(160 * high), reach, random.uniform(0.05, 0.1), 0.6)
+        parts.append(clump.placed(x, y, z + high / 2))
     stage.mesh(Mesh.joined(parts), Surface.VEGETATION)
 
 
@@ -392,6 +355,6 @@ def bush(stage: Stage, at: At, size: float = 1.0) -> None:
     """Place a bush."""
     random, u = stage.random, stage.random.uniform
     wide, tall = size * u(0.4, 1.3), size * u(0.5, 1.8)
-    clump = leaves(random, int(250 * wide * tall) + 50, [wide, wide * u(0.6, 1), tall / 2],
-                   u(0.04, 0.1), u(0.2, 0.7))  # fmt: skip
-    place(stage, clump.placed(0, 0, tall / 2), at, Surface.VEGETATION)
+    count, reach = int(250 * wide * tall) + 50, [wide, wide * u(0.6, 1), tall / 2]
+    clump = leaves(random, count, reach, u(0.04, 0.1), u(0.2, 0.7))
+    stage.mesh(clump.placed(0, 0, tall / 2), Surface.VEGETATION, at)

@@ -13,22 +13,14 @@ from pipeline.simulation.meshes.walkways import Guide, Walkways
 STEP = 0.1
 """Time between two samples of a track, in seconds."""
 
+_UNREST = 3.0 / STEP  # steps over which one who stands forgets how he shifted
+
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """A place to be at for a while.
+    """A place, (3,), near a node of the walkways, to be at for some seconds.
 
-    Attributes
-    ----------
-    node : int
-        Of the walkways, near it.
-    place : (3,) float64 array
-    wait : float
-        In seconds.
-    yaw : float, optional
-        Where to look; as one came, if not given.
-    seat : float
-        Height of a seat to sit on; 0 to stand.
+    One looks along the yaw, or as one came, and sits on a seat of some height, or stands.
     """
 
     node: int
@@ -88,38 +80,41 @@ def follow(
         How far one who stands shifts about, in metres (deviation).
     """
     count = int(np.ceil(duration / STEP)) + 2
-    places, yaws, seats, total = [], [], [], 0
-    before = stops[0]
-    for number, stop in enumerate(stops):
-        if number:
-            way = np.concatenate(
-                [before.place[None], guide.way(before.node, stop.node, aside), stop.place[None]]
-            )
-            steps = _paced(way, speed * random.uniform(0.85, 1.15))
-            places.append(steps)
-            yaws.append(np.full(len(steps), np.nan))
-            seats.append(np.zeros(len(steps)))
-            total += len(steps)
+    parts: list[NDArray[np.float64]] = []  # columns of place, yaw and seat
+
+    def add(steps: NDArray[np.float64], yaw: float, seat: float) -> int:
+        parts.append(np.column_stack([steps, np.full((len(steps), 2), [yaw, seat])]))
+        return sum(map(len, parts))
+
+    before, total = stops[0], 0
+    for stop in stops:
+        if stop is not before:
+            way = guide.way(before.node, stop.node, aside)
+            way = np.concatenate([before.place[None], way, stop.place[None]])
+            total = add(_paced(way, speed * random.uniform(0.85, 1.15)), np.nan, 0.0)
         stays = max(1, int(stop.wait / STEP))
-        if number == len(stops) - 1:
+        if stop is stops[-1]:
             stays = max(stays, count - total)
-        places.append(np.repeat(stop.place[None], stays, axis=0))
-        yaws.append(np.full(stays, np.nan if stop.yaw is None else stop.yaw))
-        seats.append(np.full(stays, stop.seat))
-        total += stays
+        yaw = np.nan if stop.yaw is None else stop.yaw
+        total = add(np.repeat(stop.place[None], stays, axis=0), yaw, stop.seat)
         before = stop
         if total >= count:
             break
-    seat = np.concatenate(seats)[:count]
-    return _track(np.concatenate(places)[:count], np.concatenate(yaws)[:count], seat, random, shift)
+    table = np.concatenate(parts)[:count]
+    return _track(table[:, :3], table[:, 3], table[:, 4], random, shift)
 
 
 def _paced(way: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
     """Return where one is along a way at each step of time."""
-    lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = way_along(way)
     steps = max(2, int(np.ceil(along[-1] / (speed * STEP))))
     return interpolated(np.linspace(0, along[-1], steps), along, way)
+
+
+def way_along(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each corner of a line, (n, 3), is from its beginning, in metres."""
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
 def interpolated(
@@ -130,21 +125,14 @@ def interpolated(
 
 
 def along_lane(
-    line: NDArray[np.float64], along: NDArray[np.float64], at: NDArray[np.float64], reach: float
+    line: NDArray[np.float64], at: NDArray[np.float64], reach: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return places on a lane, (n, 3), and the headings of wheels there, unwrapped.
 
-    Parameters
-    ----------
-    line : (m, 3) float64 array
-        Corners of the lane.
-    along : (m,) float64 array
-        Way from its beginning to each.
-    at : (n,) float64 array
-        Way from its beginning to the places.
-    reach : float
-        Way to the front axle and to the rear one.
+    The lane has corners, (m, 3); the places, (n,), are given by their way from its beginning. The
+    axles are `reach` metres ahead and behind.
     """
+    along = way_along(line)
     ahead = interpolated(at + reach, along, line[:, :2])
     ahead -= interpolated(at - reach, along, line[:, :2])
     return interpolated(at, along, line), np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
@@ -172,43 +160,23 @@ def _track(
     yaw = gaussian_filter1d(np.unwrap(yaw), 3.0, mode="nearest")
     standing = gaussian_filter1d((pace < 0.15).astype(np.float64), 4.0)
     sitting = gaussian_filter1d((seat > 0).astype(np.float64), 4.0)
-    unrest = _wander(random, (count, 3), 3.0)
-    place = place + np.column_stack([unrest[:, :2], np.zeros(count)]) * (
-        shift * standing * (1 - sitting)
-    ).reshape(-1, 1)
+    unrest = gaussian_filter1d(random.normal(size=(count, 3)), _UNREST, axis=0, mode="wrap")
+    unrest *= np.sqrt(2 * np.sqrt(np.pi) * _UNREST)  # of deviation 1
+    place[:, :2] += unrest[:, :2] * (shift * standing * (1 - sitting))[:, None]
     yaw = yaw + 6 * shift * unrest[:, 2] * standing * (1 - 0.8 * sitting)
-    gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
     held = np.maximum.accumulate(np.where(seat > 0, np.arange(count), 0))
-    return Track(
-        place, yaw, gone, gaussian_filter1d(pace, 3.0), sitting, np.maximum(seat[held], 0.4)
-    )
-
-
-def _wander(
-    random: np.random.Generator, shape: tuple[int, int], seconds: float
-) -> NDArray[np.float64]:
-    """Return smooth noise of deviation 1 that is forgotten over some seconds."""
-    noise = gaussian_filter1d(random.normal(size=shape), seconds / STEP, axis=0, mode="wrap")
-    even: NDArray[np.float64] = noise * np.sqrt(2 * np.sqrt(np.pi) * seconds / STEP)
-    return even
+    seat = np.maximum(seat[held], 0.4)
+    return Track(place, yaw, way_along(place), gaussian_filter1d(pace, 3.0), sitting, seat)
 
 
 class Planner:
-    """Draws what people do in a scene.
-
-    Parameters
-    ----------
-    duration : float
-        In seconds.
-    """
+    """Draws what people do in a scene, for so many seconds."""
 
     def __init__(
         self, stage: Stage, walkways: Walkways, duration: float, random: np.random.Generator
     ) -> None:
-        self._stage = stage
-        self._walkways = walkways
-        self._duration = duration
-        self._random = random
+        self._stage, self._walkways = stage, walkways
+        self._duration, self._random = duration, random
         self._goals = walkways.draw(random, 24, room=0.5)
         self._seats = list(random.permutation(len(stage.seats)))
 
@@ -216,9 +184,7 @@ class Planner:
         """Return the stops of people: some who linger, walkers, groups, sitters and a queue."""
         random = self._random
         weights = random.dirichlet([1.6, 1.0, 1.0, 0.6, 0.5])
-        plans: list[list[Stop]] = [
-            self._lingerer() for _ in range(random.binomial(count, lingering))
-        ]
+        plans = [self._lingerer() for _ in range(random.binomial(count, lingering))]
         while len(plans) < count:
             kind = random.choice(5, p=weights)
             if kind == 1:
@@ -236,7 +202,7 @@ class Planner:
     def errands(self, count: int) -> list[list[Stop]]:
         """Return the stops of things that drive where people go, or are put elsewhere once."""
         return [
-            self._put_elsewhere() if self._random.random() < 0.4 else self._walker(long_waits=False)
+            self._put_elsewhere() if self._random.random() < 0.4 else self._walker()
             for _ in range(count)
         ]
 
@@ -246,7 +212,7 @@ class Planner:
     def _goal(self) -> int:
         return int(self._random.choice(self._goals))
 
-    def _walker(self, long_waits: bool) -> list[Stop]:
+    def _walker(self, long_waits: bool = False) -> list[Stop]:
         random = self._random
         left, stops = self._duration, []
         while left > 0:
@@ -290,12 +256,12 @@ class Planner:
             angle = 2 * np.pi * (number + random.uniform(-0.2, 0.2)) / count
             out = radius * np.array([np.cos(angle), np.sin(angle), 0])
             place = self._walkways.nodes[middle] + out
-            here = Stop(middle, place, lasts + random.uniform(0, 4), angle + np.pi)
+            wait = lasts + random.uniform(0, 4)
             arrives = came + random.uniform(0, 8)
             first = [self._at(self._goal(), arrives)] if arrives > 0 else []
-            if arrives <= 0:
-                here = Stop(middle, place, max(3.0, here.wait + came), here.yaw)
-            plans.append([*first, here, *self._walker(long_waits=False)])
+            wait = wait if first else max(3.0, wait + came)
+            here = Stop(middle, place, wait, angle + np.pi)
+            plans.append([*first, here, *self._walker()])
         return plans
 
     def _sitter(self) -> list[Stop]:
@@ -304,7 +270,7 @@ class Planner:
         place = np.array([seat.x, seat.y, seat.z])
         node = int(self._walkways.nearest(place)[0])
         here = Stop(node, place, random.uniform(0.15, 0.8) * self._duration, seat.yaw, seat.height)
-        stops = [here, *self._walker(long_waits=False)]
+        stops = [here, *self._walker()]
         if random.random() < 0.6:
             stops.insert(0, self._at(self._goal(), random.uniform(0, 0.5) * self._duration))
         return stops
@@ -325,5 +291,5 @@ class Planner:
                 yaw = float(np.arctan2(ahead[1], ahead[0]))
                 place = slots[slot] + np.append(random.normal(scale=0.08, size=2), 0)
                 stops.append(Stop(int(nodes[slot]), place, service * random.uniform(0.8, 1.2), yaw))
-            plans.append([*stops, *self._walker(long_waits=False)])
+            plans.append([*stops, *self._walker()])
         return plans

@@ -5,6 +5,7 @@ All lengths are in metres. A shape is made about the origin, z up, and then put 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,9 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 Rows: TypeAlias = ArrayLike | Sequence[Any]
 """A table of numbers, in whatever lists it was written."""
 
-_BOX_CORNERS = np.array(
-    [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], dtype=np.float64
-)
+_BOX_CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
 _BOX_TRIANGLES = np.array(
     [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
@@ -47,24 +46,19 @@ class Mesh:
         if not parts:
             return cls(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
         starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-        return cls(
-            np.concatenate([part.vertices for part in parts]),
-            np.concatenate(
-                [part.triangles + start for part, start in zip(parts, starts, strict=True)]
-            ),
-        )
+        triangles = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+        return cls(np.concatenate([part.vertices for part in parts]), np.concatenate(triangles))
 
     def placed(self, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> "Mesh":
-        """Turn about z, then shift."""
-        return Mesh(turned(self.vertices, yaw) + np.array([x, y, z]), self.triangles)
+        """Turn about z, counter-clockwise, then shift."""
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        return Mesh(self.vertices @ turn + np.array([x, y, z]), self.triangles)
 
 
-def turned(points: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-    """Turn points about z, counter-clockwise."""
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    placed: NDArray[np.float64] = points @ turn
-    return placed
+def corners(x: float, y: float) -> list[tuple[float, float]]:
+    """Return the corners of a rectangle about the origin."""
+    return list(product((-x, x), (-y, y)))
 
 
 def boxes(rows: Rows) -> Mesh:
@@ -79,17 +73,19 @@ def tube_triangles(tubes: int, sides: int) -> NDArray[np.int64]:
     """Return the triangles of tubes whose vertices `tube_vertices` made."""
     side = np.arange(sides)
     after = (side + 1) % sides
-    parts = []
-    for ring in range(3):
-        low, high = ring * sides, (ring + 1) * sides
-        parts.append(np.stack([low + side, low + after, high + after], axis=1))
-        parts.append(np.stack([low + side, high + after, high + side], axis=1))
-    first, last = 4 * sides, 4 * sides + 1
-    parts.append(np.stack([after, side, np.full(sides, first)], axis=1))
-    parts.append(np.stack([3 * sides + side, 3 * sides + after, np.full(sides, last)], axis=1))
-    one = np.concatenate(parts)
-    many: NDArray[np.int64] = one + (4 * sides + 2) * np.arange(tubes)[:, None, None]
-    return many.reshape(-1, 3)
+    parts: list[Sequence[ArrayLike]] = []
+    for low, high in ((0, sides), (sides, 2 * sides), (2 * sides, 3 * sides)):
+        parts.append((low + side, low + after, high + after))
+        parts.append((low + side, high + after, high + side))
+    parts.append((after, side, 4 * sides))
+    parts.append((3 * sides + side, 3 * sides + after, 4 * sides + 1))
+    starts = (4 * sides + 2) * np.arange(tubes)
+    return (_triangles(*parts) + starts[:, None, None]).reshape(-1, 3)
+
+
+def _triangles(*parts: Sequence[ArrayLike]) -> NDArray[np.int64]:
+    """Return triangles, (t, 3), whose first, second and third vertices are given."""
+    return np.concatenate([np.stack(np.broadcast_arrays(*part), axis=1) for part in parts])
 
 
 def tube_vertices(
@@ -149,8 +145,7 @@ def sheet(grid: NDArray[np.float64]) -> Mesh:
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
     c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    return Mesh(grid.reshape(-1, 3).astype(np.float64), triangles)
+    return Mesh(grid.reshape(-1, 3).astype(np.float64), _triangles((a, b, c), (a, c, d)))
 
 
 def extruded(profile: ArrayLike, width: float) -> Mesh:
@@ -159,39 +154,26 @@ def extruded(profile: ArrayLike, width: float) -> Mesh:
     The body reaches from -width/2 to width/2 along y.
     """
     outline = np.asarray(profile, dtype=np.float64)
-    count = len(outline)
-    sides = [
-        np.column_stack([outline[:, 0], np.full(count, y), outline[:, 1]])
-        for y in (-width / 2, width / 2)
-    ]
-    middle = outline.mean(axis=0)
-    hubs = np.array([[middle[0], y, middle[1]] for y in (-width / 2, width / 2)])
+    count, hub = len(outline), outline.mean(axis=0)
+    x, z = np.concatenate([outline, outline, [hub, hub]]).T
+    y = np.repeat([-width / 2, width / 2, -width / 2, width / 2], [count, count, 1, 1])
     here = np.arange(count)
     after = (here + 1) % count
-    triangles = np.concatenate(
-        [
-            np.stack([here, after, after + count], axis=1),
-            np.stack([here, after + count, here + count], axis=1),
-            np.stack([here, after, np.full(count, 2 * count)], axis=1),
-            np.stack([here + count, after + count, np.full(count, 2 * count + 1)], axis=1),
-        ]
+    triangles = _triangles(
+        (here, after, after + count),
+        (here, after + count, here + count),
+        (here, after, 2 * count),
+        (here + count, after + count, 2 * count + 1),
     )
-    return Mesh(np.concatenate([*sides, hubs]), triangles)
+    return Mesh(np.column_stack([x, y, z]), triangles)
 
 
 def leaves(
     random: np.random.Generator, count: int, reach: ArrayLike, size: float, hollow: float = 0.5
 ) -> Mesh:
-    """Make small triangles in an ellipsoid about the origin.
+    """Make small triangles, of edges about `size` long, in an ellipsoid of half axes `reach`.
 
-    Parameters
-    ----------
-    reach : (3,) float
-        Half axes.
-    size : float
-        About the length of an edge.
-    hollow : float, optional
-        0 fills the ellipsoid evenly; towards 1, leaves gather at its surface.
+    With `hollow` 0 they fill it evenly; towards 1 they gather at its surface.
     """
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -5,7 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.meshes.itineraries import STEP, Planner, Track, along_lane, follow
+from pipeline.simulation.meshes.itineraries import (
+    STEP,
+    Planner,
+    Track,
+    along_lane,
+    follow,
+    way_along,
+)
 from pipeline.simulation.meshes.mesh import Mesh, boxes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.people import Bodies, Postures, draw_bodies, people_mesh
@@ -13,7 +20,7 @@ from pipeline.simulation.meshes.raycasting import Target
 from pipeline.simulation.meshes.stage import Body, Lane, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 STANDS = 0.35
 """Who never gets farther than this from where he began has no honest truth, in metres."""
@@ -71,19 +78,13 @@ class Movers:
     def target(
         self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
     ) -> Target:
-        """Return what rays can meet, each mover at a time of its own.
+        """Return what rays can meet, each mover when the rays get to it: (p + r,) times.
 
-        Parameters
-        ----------
-        times : (p + r,) float64 array
-            When the rays get to each.
-        sensor : (3,) float64 array
-            People make way for it.
-        reach : float
-            What is farther from it is left out, in metres.
+        People make way for the sensor, (3,), and what is more than `reach` metres from it is left
+        out.
         """
-        people, owner = self._people(times, sensor, reach)
-        parts, owners = [people], [owner]
+        people, whose = self._people(times, sensor, reach)
+        parts, owners = [people], [whose]
         for number, thing in enumerate(self.rigid):
             time = float(times[len(self.tracks) + number])
             place = _between(thing.place, time)
@@ -93,34 +94,25 @@ class Movers:
                 yaw = float(np.interp(time / STEP, np.arange(len(thing.yaw)), thing.yaw))
                 parts.append(thing.mesh.placed(place[0], place[1], place[2], yaw))
                 owners.append(np.full(len(thing.mesh.triangles), len(self.tracks) + number))
-        mesh, owner = Mesh.joined(parts), np.concatenate(owners)
-        surface = self.surfaces[owner] if len(owner) else np.empty(0, dtype=np.uint8)
-        albedo = self.albedo[owner] if len(owner) else np.empty(0, dtype=np.float32)
-        return Target(Body(mesh, surface, albedo), owner)
+        owner = np.concatenate(owners)
+        return Target(Body(Mesh.joined(parts), self.surfaces[owner], self.albedo[owner]), owner)
 
     def _people(
         self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
     ) -> tuple[Mesh, NDArray[np.int64]]:
-        rows = np.array(
-            [_posture(track, float(time)) for track, time in zip(self.tracks, times, strict=False)]
-        ).reshape(-1, 9)
+        at = zip(self.tracks, times.tolist(), strict=False)
+        rows = np.array([_posture(track, time) for track, time in at]).reshape(-1, 8)
         away = rows[:, :2] - sensor[:2]
         distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-3)
         near = np.abs(rows[:, 2] + 1 - sensor[2]) < 2.5
         push = np.where(near, np.maximum(0.0, _PUSHED - distance), 0.0)
         rows[:, :2] += away / distance[:, None] * push[:, None]
         seen = np.flatnonzero((distance < reach) & (rows[:, 2] > _AWAY[2] / 2))
-        heights = self.bodies.height[seen]
-        bodies = Bodies(
-            heights, self.bodies.build[seen], self.bodies.coat[seen], self.bodies.swing[seen],
-            tuple(self.bodies.carried[number] for number in seen),
-        )  # fmt: skip
-        kept = rows[seen]
-        step = np.clip(kept[:, 5] / (0.76 * heights), 0, 1.3)
-        postures = Postures(
-            place=kept[:, :3], yaw=kept[:, 3], phase=2 * np.pi * kept[:, 4] / (0.83 * heights),
-            stride=step, sitting=kept[:, 6], seat=kept[:, 7], lean=kept[:, 8],
-        )  # fmt: skip
+        bodies, place = self.bodies.take(seen), rows[seen, :3]
+        yaw, gone, pace, sitting, seat = rows[seen, 3:].T
+        phase = 2 * np.pi * gone / (0.83 * bodies.height)
+        stride = np.clip(pace / (0.76 * bodies.height), 0, 1.3)
+        postures = Postures(place, yaw, phase, stride, sitting, seat, 0.06 * sitting)
         mesh, owner = people_mesh(bodies, postures)
         return mesh, seen[owner]
 
@@ -135,15 +127,13 @@ def _between(table: NDArray[np.float64], time: float) -> NDArray[np.float64]:
 
 
 def _posture(track: Track, time: float) -> tuple[float, ...]:
-    """Return place, yaw, way gone, pace, sitting, seat and lean of a person."""
+    """Return place, yaw, way gone, pace, sitting and seat of a person."""
     at = min(max(time / STEP, 0.0), len(track.yaw) - 1.001)
     low = int(at)
-    part = at - low
-    x, y, z = track.place[low] + (track.place[low + 1] - track.place[low]) * part
-    yaw = track.yaw[low] + (track.yaw[low + 1] - track.yaw[low]) * part
-    gone = track.gone[low] + (track.gone[low + 1] - track.gone[low]) * part
-    return (x, y, z, yaw, gone, track.pace[low], track.sitting[low], track.seat[low],
-            0.06 * track.sitting[low])  # fmt: skip
+    x, y, z = track.place[low] + (track.place[low + 1] - track.place[low]) * (at - low)
+    yaw = track.yaw[low] + (track.yaw[low + 1] - track.yaw[low]) * (at - low)
+    gone = track.gone[low] + (track.gone[low + 1] - track.gone[low]) * (at - low)
+    return (x, y, z, yaw, gone, track.pace[low], track.sitting[low], track.seat[low])
 
 
 def populate(
@@ -206,28 +196,18 @@ def seat_people(stage: Stage, count: int) -> None:
     stage.seats = [stage.seats[number] for number in order[count:]]
     if not seats:
         return
-    zero = np.zeros(len(seats))
-    mesh, _ = people_mesh(
-        draw_bodies(random, len(seats), 0.0),
-        Postures(
-            place=np.array([[seat.x, seat.y, seat.z] for seat in seats]),
-            yaw=np.array([seat.yaw for seat in seats]),
-            phase=zero,
-            stride=zero,
-            sitting=zero + 1,
-            seat=np.array([seat.height for seat in seats]),
-            lean=random.uniform(-0.1, 0.3, len(seats)),
-        ),
-    )
-    stage.mesh(mesh, Surface.PERSON)
+    bodies = draw_bodies(random, len(seats), 0.0)
+    rows = np.array([[seat.x, seat.y, seat.z, seat.yaw, seat.height] for seat in seats])
+    zero, lean = np.zeros(len(seats)), random.uniform(-0.1, 0.3, len(seats))
+    postures = Postures(rows[:, :3], rows[:, 3], zero, zero, zero + 1, rows[:, 4], lean)
+    stage.mesh(people_mesh(bodies, postures)[0], Surface.PERSON)
 
 
 def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
     """Drive along a lane again and again, with stops, or pull out once after a long stand."""
     kind = str(random.choice(lane.kinds))
     count = int(np.ceil(duration / STEP)) + 2
-    lengths = np.linalg.norm(np.diff(lane.line, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    length = way_along(lane.line)[-1]
     speed = random.uniform(*lane.speed) * (0.5 if kind in ("bicycle", "bus") else 1.0)
     pace = np.full(count, speed)
     for _ in range(random.poisson(duration / 60)):
@@ -237,11 +217,10 @@ def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
     if random.random() < 0.25:  # stands, then leaves for good
         leaves = int(random.uniform(0.2, 0.9) * count)
         gone = np.maximum(0.0, gone - gone[leaves])
-    gap = 0.0 if lane.closed else random.uniform(10, 60)
-    lap = along[-1] + gap
-    at = (gone + random.uniform(0, along[-1])) % lap
-    place, yaw = along_lane(lane.line, along, at, 0.5)
-    place[at > along[-1]] = _AWAY
+    lap = length + (0.0 if lane.closed else random.uniform(10, 60))
+    at = (gone + random.uniform(0, length)) % lap
+    place, yaw = along_lane(lane.line, at, 0.5)
+    place[at > length] = _AWAY
     mesh = VEHICLES[kind](random)
     if kind == "bicycle":
         mesh = Mesh.joined([mesh, _rider(random)])
@@ -251,14 +230,11 @@ def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
 
 def _rider(random: np.random.Generator) -> Mesh:
     """Make a person on a bicycle."""
-    one = np.ones(1)
-    mesh, _ = people_mesh(
-        draw_bodies(random, 1, 0.2),
-        Postures(place=np.array([[-0.2, 0.0, 0.0]]), yaw=0 * one, phase=0 * one,
-                 stride=one * random.uniform(0.2, 0.8), sitting=0.55 * one, seat=0.88 * one,
-                 lean=one * random.uniform(0.2, 0.6)),
-    )  # fmt: skip
-    return mesh
+    body, zero = draw_bodies(random, 1, 0.2), np.zeros(1)
+    stride, lean = zero + random.uniform(0.2, 0.8), zero + random.uniform(0.2, 0.6)
+    place = np.array([[-0.2, 0.0, 0.0]])
+    posture = Postures(place, zero, zero, stride, zero + 0.55, zero + 0.88, lean)
+    return people_mesh(body, posture)[0]
 
 
 def _doors(stage: Stage, duration: float, random: np.random.Generator, most: int) -> list[Rigid]:

@@ -33,7 +33,7 @@ class MeshSceneKind(StrEnum):
 
 
 class SensorKind(StrEnum):
-    """Sensors: three or more tables of rings, and a pattern that does not repeat."""
+    """Sensors: four with rings, and one whose pattern does not repeat."""
 
     VLP16 = "vlp16"
     RING32 = "ring32"
@@ -60,10 +60,7 @@ class MeshParameters(BaseModel):
     seed: int = Field(0, ge=0, description="Seed of all that is random.")
 
     drive: int = Field(
-        0,
-        ge=0,
-        description="Number of the drive: another one goes through the same scene, with other "
-        "people, noise and drift.",
+        0, ge=0, description="Another number: the same scene, but other people, noise and drift."
     )
 
     scans: int = Field(150, ge=1, description="Scans that enter the map.")
@@ -184,23 +181,14 @@ def random_parameters(
 ) -> MeshParameters:
     """Draw a scene, a sensor, its way, what moves, noise, drift and how the map is made.
 
-    Parameters
-    ----------
-    kind, sensor : optional
-        Fix them, and draw the rest.
-
-    Returns
-    -------
-    MeshParameters
-        The same for the same seed.
+    The same seed gives the same. A kind or a sensor that is given stays, and the rest is drawn.
     """
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     u = random.uniform
-    drawn_kind = MeshSceneKind(str(random.choice([str(each) for each in MeshSceneKind])))
-    drawn_sensor = SensorKind(
-        str(random.choice(["vlp16", "vlp16", "ring32", "ring64", "os64", "mid360", "mid360"]))
-    )
-    kind, sensor = kind or drawn_kind, sensor or drawn_sensor
+    drawn_kind = str(random.choice([str(each) for each in MeshSceneKind]))
+    sensors = ["vlp16", "vlp16", "ring32", "ring64", "os64", "mid360", "mid360"]
+    drawn_sensor = str(random.choice(sensors))
+    kind, sensor = kind or MeshSceneKind(drawn_kind), sensor or SensorKind(drawn_sensor)
     shares = [0.1, 0.2, 0.7] if kind is MeshSceneKind.ROOM else [0.5, 0.35, 0.15]
     mode = DriveMode(str(random.choice(["through", "stop_and_go", "stand"], p=shares)))
     outdoors = not kind.indoors
@@ -219,14 +207,9 @@ def random_parameters(
     elif mode is DriveMode.STAND:  # sees the same walls again and again
         total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
-    drawn: dict[str, Any] = {
-        "kind": kind,
-        "sensor": sensor,
-        "seed": seed,
-        "scans": scans,
-        "mode": mode,
-        "rays": int(np.clip(total / scans, 2_500, 60_000 if good else 28_000)),
-    }
+    rays = int(np.clip(total / scans, 2_500, 60_000 if good else 28_000))
+    drawn: dict[str, Any] = {"kind": kind, "sensor": sensor, "seed": seed, "mode": mode}
+    drawn |= {"scans": scans, "rays": rays}
     # In this order: what is drawn later follows from what was drawn before.
     drawn |= _way_of_sensor(random, sensor, vehicle, keyed)
     drawn |= _measurements(random)
@@ -262,10 +245,8 @@ def _standing(random: np.random.Generator) -> dict[str, Any]:
     u = random.uniform
     drawn: dict[str, Any] = {}
     if random.random() < 0.6:  # on a tripod: rays meet the same places again and again
-        drawn |= {
-            "range_noise": float(np.exp(u(np.log(0.0005), np.log(0.01)))),
-            "angle_noise": float(u(0.0, 0.01)),
-        }
+        drawn["range_noise"] = float(np.exp(u(np.log(0.0005), np.log(0.01))))
+        drawn["angle_noise"] = float(u(0.0, 0.01))
         still = ("drift_position", "drift_angle", "jitter_position", "jitter_angle")
         drawn |= dict.fromkeys((*still, "wobble", "loop_gap"), 0.0)
     return drawn | {"visiting": float(u(0, 1)) if random.random() < 0.6 else 0.0}
@@ -290,13 +271,12 @@ def _what_moves(
 ) -> dict[str, Any]:
     """Draw what moves, and what stands about."""
     u = random.uniform
+    vehicles = [0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4]
     return {
         "people": people,
         "lingering": float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
         "seated": int(u(0, 8)) if random.random() < 0.5 else 0,
-        "vehicles": 0
-        if still
-        else int(random.choice([0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4])),
+        "vehicles": 0 if still else int(random.choice(vehicles)),
         "glass": float(u(0, 1)),
         "mirrors": float(u(0, 0.6)),
         "clutter": float(u(0.3, 2.5)),

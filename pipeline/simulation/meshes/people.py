@@ -51,6 +51,12 @@ class Bodies:
     def __len__(self) -> int:
         return len(self.height)
 
+    def take(self, which: NDArray[np.intp]) -> "Bodies":
+        """Return some of the people."""
+        carried = tuple(self.carried[number] for number in which)
+        some = (self.height[which], self.build[which], self.coat[which], self.swing[which])
+        return Bodies(*some, carried)
+
 
 @dataclass(frozen=True, slots=True)
 class Postures:
@@ -151,9 +157,7 @@ def limbs(bodies: Bodies, postures: Postures) -> NDArray[np.float64]:
     hang = (bodies.coat * thigh)[:, None] * np.stack([np.sin(sit), 0 * sit, -np.cos(sit)], axis=1)
     place[:, 14, 1] = root + hang
     for side, sign in ((0, 1.0), (1, -1.0)):
-        aside = np.stack(
-            [np.zeros_like(tall), sign * 0.055 * tall * np.ones_like(tall), 0 * tall], 1
-        )
+        aside = np.stack([np.zeros_like(tall), sign * 0.055 * tall, np.zeros_like(tall)], axis=1)
         swing = np.sin(phase + side * np.pi)
         hip_angle = (1 - sit) * 0.47 * swing * step + sit * 1.45
         lift = np.maximum(0.0, np.cos(phase + side * np.pi))
@@ -165,9 +169,8 @@ def limbs(bodies: Bodies, postures: Postures) -> NDArray[np.float64]:
         place[:, 10 + side] = np.stack([knee_at, ankle], axis=1)
         toe = knee + 0.1
         foot = np.stack([np.cos(toe), 0 * toe, np.sin(toe)], axis=1)
-        place[:, 12 + side] = np.stack(
-            [ankle - 0.02 * foot, ankle + foot * (0.1 * tall)[:, None]], 1
-        )
+        toes = ankle + foot * (0.1 * tall)[:, None]
+        place[:, 12 + side] = np.stack([ankle - 0.02 * foot, toes], axis=1)
         shoulder = root + up * (0.27 * tall)[:, None] + 1.95 * aside * bodies.build[:, None] ** 0.5
         shoulder[:, 0] += sign * 0.1 * tall * np.sin(turn)
         arm = -0.5 * swing * step * bodies.swing + 0.25 * sit + postures.lean * 1.2
@@ -198,13 +201,8 @@ def people_mesh(bodies: Bodies, postures: Postures) -> tuple[Mesh, NDArray[np.in
     turn[:, 2, 2] = 1.0
     world = np.einsum("pij,plej->plei", turn, ends) + postures.place[:, None, None]
     across = np.repeat(turn[:, None, :, 1], _LIMBS, axis=1)
-    vertices = tube_vertices(
-        world.reshape(-1, 2, 3),
-        radii.reshape(-1, 2),
-        SIDES,
-        across.reshape(-1, 3),
-        np.tile(_DEPTH, count),
-    )
+    ends, radii, depth = world.reshape(-1, 2, 3), radii.reshape(-1, 2), np.tile(_DEPTH, count)
+    vertices = tube_vertices(ends, radii, SIDES, across.reshape(-1, 3), depth)
     parts = [Mesh(vertices.reshape(-1, 3), tube_triangles(count * _LIMBS, SIDES))]
     owners = [np.repeat(np.arange(count), _LIMBS * 8 * SIDES)]
     for number, burden in enumerate(bodies.carried):

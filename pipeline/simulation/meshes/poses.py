@@ -14,6 +14,7 @@ from pipeline.simulation.meshes.itineraries import (
     along_lane,
     follow,
     interpolated,
+    way_along,
 )
 from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters
 from pipeline.simulation.meshes.stage import Lane, Stage
@@ -52,10 +53,7 @@ def longest(parameters: MeshParameters) -> float:
 
 
 def sensor_track(
-    stage: Stage,
-    walkways: Walkways,
-    parameters: MeshParameters,
-    random: np.random.Generator,
+    stage: Stage, walkways: Walkways, parameters: MeshParameters, random: np.random.Generator
 ) -> Track:
     """Draw the way of the sensor's foot."""
     duration = longest(parameters)
@@ -82,8 +80,7 @@ def _along(
 ) -> Track:
     """Drive along a lane, once, as far as time goes."""
     count = int(np.ceil(duration / STEP)) + 2
-    lengths = np.linalg.norm(np.diff(lane.line, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    length = way_along(lane.line)[-1]
     pace = np.full(count, parameters.speed)
     if parameters.mode is DriveMode.STOP_AND_GO:
         for _ in range(1 + random.poisson(duration / 40)):
@@ -91,9 +88,9 @@ def _along(
             pace[begin : begin + int(random.uniform(5, 30) / STEP)] = 0.0
     pace = gaussian_filter1d(pace, 8.0)
     gone = np.cumsum(pace) * STEP
-    spare = max(0.0, along[-1] - gone[-1])
-    at = np.minimum(gone + random.uniform(0, spare), along[-1] - 0.01)
-    place, yaw = along_lane(lane.line, along, at, 1.0)
+    spare = max(0.0, length - gone[-1])
+    at = np.minimum(gone + random.uniform(0, spare), length - 0.01)
+    place, yaw = along_lane(lane.line, at, 1.0)
     zero = np.zeros(count)
     return Track(place, gaussian_filter1d(yaw, 5.0), gone, pace, zero, zero)
 
@@ -101,7 +98,7 @@ def _along(
 def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
     """Choose the times of the scans, and say where the sensor is and is believed to be."""
     samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
-    times = _scan_times(track, parameters)
+    times = _scan_times(track, samples, parameters)
     place = interpolated(times, samples, track.place)
     later = interpolated(times + 0.1, samples, track.place)
     yaw = np.interp(times, samples, track.yaw)
@@ -109,12 +106,11 @@ def drive(track: Track, parameters: MeshParameters, random: np.random.Generator)
     tilt = np.radians(parameters.wobble) * random.normal(size=(count, 3)) * [1, 1, 0.3]
     tilt[:, 1] += np.radians(parameters.pitch)
     up = np.array([0, 0, parameters.sensor_height])
-    swing = np.array([0.02, 0.02, 0.02]) * (parameters.wobble > 0) * random.normal(size=(count, 3))
-    true = _poses(place + up + swing, yaw, tilt)
-    return Drive(
-        times, true, _in_map(true, true[0]), _estimated(true, parameters, random),
-        (later - place) / 0.1,
-    )  # fmt: skip
+    swing = 0.02 * (parameters.wobble > 0) * random.normal(size=(count, 3))
+    turn = Rotation.from_euler("zyx", np.column_stack([yaw, tilt[:, 1], tilt[:, 0]])).as_matrix()
+    true = np.concatenate([turn, (place + up + swing)[:, :, None]], axis=2)
+    believed = _estimated(true, parameters, random)
+    return Drive(times, true, _in_map(true, true[0]), believed, (later - place) / 0.1)
 
 
 def _in_map(poses: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,10 +120,11 @@ def _in_map(poses: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[n
     return np.concatenate([level @ poses[:, :, :3], place[:, :, None]], axis=2)
 
 
-def _scan_times(track: Track, parameters: MeshParameters) -> NDArray[np.float64]:
+def _scan_times(
+    track: Track, samples: NDArray[np.float64], parameters: MeshParameters
+) -> NDArray[np.float64]:
     """Return when scans enter the map: every so often, or only after so much way."""
-    samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
-    times = (np.arange(parameters.scans) * parameters.interval).astype(np.float64)
+    times = np.arange(parameters.scans) * parameters.interval
     if parameters.key_distance and parameters.mode is not DriveMode.STAND:
         turned = np.abs(np.gradient(track.yaw)).cumsum()
         way = track.gone + turned * parameters.key_distance / 0.8  # a turn counts as way, too
@@ -137,13 +134,6 @@ def _scan_times(track: Track, parameters: MeshParameters) -> NDArray[np.float64]
         times = times[np.append(True, np.diff(times) > 0)]
     in_time: NDArray[np.float64] = times[times < samples[-1] - 1.0]
     return in_time
-
-
-def _poses(
-    place: NDArray[np.float64], yaw: NDArray[np.float64], tilt: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    turn = Rotation.from_euler("zyx", np.column_stack([yaw, tilt[:, 1], tilt[:, 0]]))
-    return np.concatenate([turn.as_matrix(), place[:, :, None]], axis=2)
 
 
 def _estimated(

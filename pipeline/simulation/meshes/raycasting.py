@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,8 +96,7 @@ class Target:
         count = len(origins)
         if self.empty or not count:
             return _nothing(count)
-        rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(self._package.core.Tensor(rays), nthreads=1)
+        answer = self._cast(origins, directions)
         distance = answer["t_hit"].numpy().astype(np.float64)
         met = np.isfinite(distance)
         triangle = np.where(met, answer["primitive_ids"].numpy().astype(np.int64), 0)
@@ -116,19 +116,20 @@ class Target:
         self, origins: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the unit normal where each ray meets something."""
+        normals = self._cast(origins, directions)["primitive_normals"].numpy()
+        return np.asarray(normals, np.float64)
+
+    def _cast(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Any:
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(self._package.core.Tensor(rays), nthreads=1)
-        normals: NDArray[np.float64] = answer["primitive_normals"].numpy().astype(np.float64)
-        return normals
+        return self._scene.cast_rays(self._package.core.Tensor(rays), nthreads=1)
 
     def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far each point is from the nearest triangle."""
         if self.empty:
             return np.full(len(points), np.inf)
         tensor = self._package.core.Tensor(points.astype(np.float32))
-        distance = self._scene.compute_distance(tensor, nthreads=1).numpy()
-        away: NDArray[np.float64] = distance.astype(np.float64)
-        return away
+        away = self._scene.compute_distance(tensor, nthreads=1).numpy()
+        return np.asarray(away, np.float64)
 
 
 def _nothing(count: int) -> Hits:
@@ -146,15 +147,14 @@ class Caster:
     """All that stands in a scene, and what a ray finally meets."""
 
     def __init__(self, stage: Stage) -> None:
-        self.solid = Target(stage.body(Matter.SOLID))
+        self._solid = Target(stage.body(Matter.SOLID))
         self._glass = Target(stage.body(Matter.GLASS))
         self._mirror = Target(stage.body(Matter.MIRROR))
 
     def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far each point is from anything that stands."""
-        targets = (self.solid, self._glass, self._mirror)
-        away = [target.clearance(points) for target in targets]
-        nearest: NDArray[np.float64] = np.min(away, axis=0)
+        targets = (self._solid, self._glass, self._mirror)
+        nearest: NDArray[np.float64] = np.min([each.clearance(points) for each in targets], axis=0)
         return nearest
 
     def cast(
@@ -190,7 +190,7 @@ class Caster:
         movers: Target,
         random: np.random.Generator,
     ) -> Hits:
-        hits = self.solid.hits(origins, directions)
+        hits = self._solid.hits(origins, directions)
         moving = movers.hits(origins, directions)
         hits = hits.take(moving, moving.distance < hits.distance)
         glass = self._glass.hits(origins, directions)

@@ -7,27 +7,21 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import ConfigurationError
-from pipeline.simulation.meshes.movers import Movers, populate, seat_people
+from pipeline.simulation.meshes.movers import populate, seat_people
 from pipeline.simulation.meshes.parameters import MeshParameters, SensorKind
-from pipeline.simulation.meshes.poses import Drive, drive, longest, sensor_track
+from pipeline.simulation.meshes.poses import drive, longest, sensor_track
 from pipeline.simulation.meshes.raycasting import Caster, Hits
 from pipeline.simulation.meshes.scenes import build_stage
 from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
+from pipeline.simulation.parameters import nothing_seen
 from pipeline.simulation.points import Points
 from pipeline.simulation.simulate import SimulatedScan
 
-_RINGS = {
-    # Velodyne VLP-16: 2 degrees apart.
+_RINGS = {  # of Velodyne's VLP-16, HDL-32E and HDL-64E (its lower half is coarser), and OS1-64
     SensorKind.VLP16: np.linspace(-15.0, 15.0, 16),
-    # Velodyne HDL-32E: 1.33 degrees apart.
     SensorKind.RING32: np.linspace(-30.67, 10.67, 32),
-    # Velodyne HDL-64E: 32 lasers a third of a degree apart, below them 32 half a degree apart.
-    SensorKind.RING64: np.concatenate(
-        [np.linspace(-24.33, -8.83, 32), np.linspace(-8.33, 2.0, 32)]
-    ),
-    # Ouster OS1-64: 45 degrees.
+    SensorKind.RING64: np.append(np.linspace(-24.33, -8.83, 32), np.linspace(-8.33, 2.0, 32)),
     SensorKind.OS64: np.linspace(-22.5, 22.5, 64),
 }
 _MID360_LOW, _MID360_HIGH = np.radians(-7.0), np.radians(52.0)
@@ -80,10 +74,8 @@ def _directed(
     azimuth: NDArray[np.float64], elevation: NDArray[np.float64], share: NDArray[np.float64]
 ) -> Sweep:
     flat = np.cos(elevation)
-    directions = np.stack(
-        [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1
-    )
-    return Sweep(directions, share)
+    across, aside = flat * np.cos(azimuth), flat * np.sin(azimuth)
+    return Sweep(np.stack([across, aside, np.sin(elevation)], axis=1), share)
 
 
 _EDGE = 0.15  # metres between two ranges that a ray on an edge would mix
@@ -133,11 +125,10 @@ class Recording:
         self.caster = Caster(self.stage)
         spacing = 0.35 if parameters.kind.indoors else 0.6
         walkways = Walkways.of(self.stage, self.caster, spacing)
-        lasts = longest(parameters)
-        random = self._random(_Stream.MOVERS)
-        self.movers: Movers = populate(self.stage, walkways, parameters, lasts, random)
+        random, lasts = self._random(_Stream.MOVERS), longest(parameters)
+        self.movers = populate(self.stage, walkways, parameters, lasts, random)
         track = sensor_track(self.stage, walkways, parameters, self._random(_Stream.DRIVE))
-        self.drive: Drive = drive(track, parameters, self._random(_Stream.DRIFT))
+        self.drive = drive(track, parameters, self._random(_Stream.DRIFT))
 
     def _random(self, stream: _Stream, number: int = 0) -> np.random.Generator:
         drive_number = 0 if stream is _Stream.SCENE else self.parameters.drive
@@ -212,12 +203,9 @@ class Recording:
         noisy = _unit(aimed + random.normal(size=aimed.shape) * np.radians(told.angle_noise))
         halves = np.flatnonzero(random.random(len(aimed)) < told.mixed)
         spread = random.normal(size=(len(halves), 3)) * np.radians(told.beam)
-        hits = self.caster.cast(
-            np.concatenate([origins, origins[halves]]),
-            np.concatenate([noisy, _unit(noisy[halves] + spread)]),
-            target,
-            random,
-        )
+        begin = np.concatenate([origins, origins[halves]])
+        way = np.concatenate([noisy, _unit(noisy[halves] + spread)])
+        hits = self.caster.cast(begin, way, target, random)
         own = np.arange(len(aimed))
         other = own.copy()
         other[halves] = len(aimed) + np.arange(len(halves))
@@ -242,10 +230,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[SimulatedScan]:
     """Yield the scans of the map one by one, before the map's own voxel filter.
 
-    Parameters
-    ----------
-    static : bool, optional
-        Whether to cast all rays once more for what stands alone; otherwise that is left empty.
+    With `static`, all rays are cast once more for what stands alone; otherwise that is left empty.
     """
     recording = Recording(parameters)
     for number, start in enumerate(recording.drive.times):
@@ -264,10 +249,7 @@ def mesh_scans(parameters: MeshParameters, *, static: bool = True) -> Iterator[S
 def simulate_meshes(parameters: MeshParameters) -> MeshMap:
     """Record a scene and make the map.
 
-    Returns
-    -------
-    MeshMap
-        The same for the same parameters, on one machine.
+    The same parameters give the same map, on one machine.
 
     Raises
     ------
@@ -280,8 +262,5 @@ def simulate_meshes(parameters: MeshParameters) -> MeshMap:
     parts = [recording.scan(number) for number in range(len(recording.drive.times))]
     points = Points.joined(parts).filtered(parameters.voxel)
     if not len(points):
-        raise ConfigurationError(
-            "simulate: expected something within the sensor's range, found nothing from "
-            f"min_range {parameters.min_range:g} to max_range {parameters.max_range:g} m"
-        )
+        raise nothing_seen(parameters.min_range, parameters.max_range)
     return MeshMap(parameters, points, recording.drive.estimated, recording.drive.true_in_map)

@@ -3,15 +3,24 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 T = TypeVar("T")
+
+At: TypeAlias = tuple[float, float, float, float]
+"""Where something stands: x, y, z and its yaw."""
+
+Thing: TypeAlias = Callable[["Stage", At], None]
+"""What puts something somewhere."""
+
+Height: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+"""The height of a floor at some x and y."""
 
 
 class Matter(IntEnum):
@@ -44,7 +53,7 @@ class Floor:
     """A rectangle that one can walk on, its height aside: x0, y0, x1, y1."""
 
     bounds: tuple[float, float, float, float]
-    height: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+    height: Height
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +89,7 @@ class Lane:
     closed: bool = False
 
 
-def level(
-    height: float,
-) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+def level(height: float) -> Height:
     """Return a floor that is flat."""
     return lambda x, y: np.full(np.shape(x), height)
 
@@ -120,24 +127,25 @@ class Stage:
     def mesh(
         self,
         mesh: Mesh,
-        surface: Surface,
+        surface: Surface = Surface.FURNITURE,
+        at: At | None = None,
         albedo: float | None = None,
         matter: Matter = Matter.SOLID,
     ) -> None:
         """Add triangles of one kind; their albedo is drawn if it is not given."""
         if albedo is None:
             albedo = float(self.random.uniform(0.12, 0.8))
-        self._parts.append((mesh, surface, albedo, matter))
+        self._parts.append((mesh.placed(*at) if at else mesh, surface, albedo, matter))
 
     def boxes(
         self,
         rows: Rows,
-        surface: Surface,
-        at: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+        surface: Surface = Surface.FURNITURE,
+        at: At = (0.0, 0.0, 0.0, 0.0),
         matter: Matter = Matter.SOLID,
     ) -> None:
-        """Add boxes (middle and lengths), placed at x, y, z and turned by a yaw."""
-        self.mesh(boxes(rows).placed(*at), surface, matter=matter)
+        """Add boxes, each given by its middle and lengths."""
+        self.mesh(boxes(rows), surface, at, matter=matter)
 
     def block(
         self,
@@ -150,7 +158,7 @@ class Stage:
         """Add one box from its lowest to its highest corner."""
         lower, upper = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
         row = np.concatenate([(lower + upper) / 2, upper - lower])
-        self.mesh(boxes(row), surface, albedo, matter)
+        self.mesh(boxes(row), surface, None, albedo, matter)
 
     def pick(self, things: Sequence[T]) -> T:
         """Draw one of some things."""

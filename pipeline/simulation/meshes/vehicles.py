@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.simulation.meshes.mesh import Mesh, boxes, extruded, tubes
+from pipeline.simulation.meshes.mesh import Mesh, boxes, corners, extruded, tubes
 
 
 def car(random: np.random.Generator) -> Mesh:
@@ -21,12 +21,8 @@ def car(random: np.random.Generator) -> Mesh:
         [-half + rear, belt], [-half + rear + 0.4, height - 0.05], [-half + rear + 0.8, height],
         [half * 0.05, height - 0.02], [half * 0.45, belt],
     ]  # fmt: skip
-    return Mesh.joined(
-        [
-            extruded(body, width), extruded(cabin, width * 0.86),
-            _wheels(0.62 * half, width, u(0.3, 0.35)),
-        ]
-    )  # fmt: skip
+    wheels = _wheels(0.62 * half, width, u(0.3, 0.35))
+    return Mesh.joined([extruded(body, width), extruded(cabin, width * 0.86), wheels])
 
 
 def van(random: np.random.Generator) -> Mesh:
@@ -55,9 +51,8 @@ def bicycle(random: np.random.Generator) -> Mesh:
     angle = np.linspace(0, 2 * np.pi, 13)
     parts = []
     for x in (-base / 2, base / 2):
-        rim = np.column_stack(
-            [x + radius * np.cos(angle), 0 * angle, radius + radius * np.sin(angle)]
-        )
+        across, up = x + radius * np.cos(angle), radius + radius * np.sin(angle)
+        rim = np.column_stack([across, 0 * angle, up])
         parts.append(tubes(np.stack([rim[:-1], rim[1:]], axis=1), 0.022, 4))
     hub, front = [-base / 2, 0, radius], [base / 2, 0, radius]
     pedal, seat, head = [-0.08, 0, 0.3], [-0.2, 0, 0.92], [base / 2 - 0.16, 0, 0.9]
@@ -103,11 +98,8 @@ def robot(random: np.random.Generator) -> Mesh:
 def dog(random: np.random.Generator) -> Mesh:
     """Make a dog."""
     size = random.uniform(0.6, 1.15)
-    legs = [
-        [[x, y, 0.38], [x + random.uniform(-0.1, 0.1), y, 0.02]]
-        for x in (-0.25, 0.25)
-        for y in (-0.08, 0.08)
-    ]
+    steps = [(x, y, x + random.uniform(-0.1, 0.1)) for x, y in corners(0.25, 0.08)]
+    legs = [[[x, y, 0.38], [foot, y, 0.02]] for x, y, foot in steps]
     neck, muzzle = [[0.3, 0, 0.5], [0.42, 0, 0.62]], [[0.42, 0, 0.64], [0.56, 0, 0.6]]
     tail = [[-0.35, 0, 0.5], [-0.55, 0, 0.62]]
     thin = tubes([neck, muzzle, tail, *legs], [[0.07, 0.07]] * 2 + [[0.03, 0.02]] * 5)
@@ -117,7 +109,7 @@ def dog(random: np.random.Generator) -> Mesh:
 
 def chair(random: np.random.Generator) -> Mesh:
     """Make a chair that somebody pushes elsewhere."""
-    legs = [[[x, y, 0], [x, y, 0.45]] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    legs = [[[x, y, 0], [x, y, 0.45]] for x, y in corners(0.2, 0.2)]
     seat = [[0, 0, 0.45, 0.44, 0.44, 0.05], [-0.21, 0, 0.72, 0.04, 0.42, random.uniform(0.3, 0.5)]]
     return Mesh.joined([boxes(seat), tubes(legs, 0.016, 4)])
 
@@ -130,23 +122,12 @@ def crate(random: np.random.Generator) -> Mesh:
 
 def _wheels(apart: float, width: float, radius: float) -> Mesh:
     """Make four wheels."""
-    ends = [
-        [[x, y - 0.02, radius], [x, y + 0.02, radius]]
-        for x in (-apart, apart)
-        for y in (-width / 2 + radius, width / 2 - radius)
-    ]
-    return tubes(ends, [[radius * 0.95, radius * 0.95]] * 4, 10)
+    places = corners(apart, width / 2 - radius)
+    ends = [[[x, y - 0.02, radius], [x, y + 0.02, radius]] for x, y in places]
+    return tubes(ends, radius * 0.95, 10)
 
 
 VEHICLES: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "car": car,
-    "van": van,
-    "bus": bus,
-    "bicycle": bicycle,
-    "forklift": forklift,
-    "robot": robot,
-    "dog": dog,
-    "chair": chair,
-    "crate": crate,
+    make.__name__: make for make in (car, van, bus, bicycle, forklift, robot, dog, chair, crate)
 }
 """What makes each kind."""

@@ -41,11 +41,11 @@ class Walkways:
         """Lay the lattice, and keep its largest part that hangs together."""
         nodes, rooms, pairs, start = [], [], [], 0
         for floor in stage.floors:
-            places, room, joined = _lattice(floor, caster, spacing)
-            nodes.append(places)
-            rooms.append(room)
+            free, around, joined = _lattice(floor, caster, spacing)
+            nodes.append(free)
+            rooms.append(around)
             pairs.append(joined + start)
-            start += len(places)
+            start += len(free)
         for line in stage.links:
             tree = cKDTree(np.concatenate(nodes))
             first, last = (int(tree.query(end)[1]) for end in line[[0, -1]])
@@ -54,20 +54,15 @@ class Walkways:
             rooms.append(np.full(len(line), CLEARANCE + 0.1))
             pairs.append(np.stack([chain[:-1], chain[1:]], axis=1))
             start += len(line)
-        return cls._joined(np.concatenate(nodes), np.concatenate(rooms), np.concatenate(pairs))
-
-    @classmethod
-    def _joined(
-        cls, nodes: NDArray[np.float64], room: NDArray[np.float64], pairs: NDArray[np.int64]
-    ) -> "Walkways":
-        length = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
-        narrow = np.minimum(room[pairs].min(axis=1), 1.2)
+        places, room, ends = np.concatenate(nodes), np.concatenate(rooms), np.concatenate(pairs)
+        length = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1)
+        narrow = np.minimum(room[ends].min(axis=1), 1.2)
         cost = length * (1 + 0.5 * (1.2 - narrow))
-        graph = csr_matrix((cost, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
+        graph = csr_matrix((cost, (ends[:, 0], ends[:, 1])), shape=(len(places), len(places)))
         graph = graph + graph.T
         _, part = connected_components(graph, directed=False)
         kept = np.flatnonzero(part == np.bincount(part).argmax())
-        return cls(nodes[kept], room[kept], graph[kept][:, kept].tocsr())
+        return cls(places[kept], room[kept], graph[kept][:, kept].tocsr())
 
     def nearest(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the node nearest to each place."""
@@ -91,12 +86,10 @@ def _lattice(
     """Return free places of a floor, their room, and pairs of neighbours."""
     x0, y0, x1, y1 = floor.bounds
     shape = (max(2, int((x1 - x0) / spacing)), max(2, int((y1 - y0) / spacing)))
-    x, y = np.meshgrid(
-        np.linspace(x0 + 0.2, x1 - 0.2, shape[0]), np.linspace(y0 + 0.2, y1 - 0.2, shape[1]),
-        indexing="ij",
-    )  # fmt: skip
-    z = floor.height(x, y)
-    places = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    along = np.linspace(x0 + 0.2, x1 - 0.2, shape[0])
+    across = np.linspace(y0 + 0.2, y1 - 0.2, shape[1])
+    x, y = np.meshgrid(along, across, indexing="ij")
+    places = np.stack([x, y, floor.height(x, y)], axis=-1).reshape(-1, 3)
     room = np.min([caster.clearance(places + np.array([0, 0, up])) for up in _HEIGHTS], axis=0)
     free = (room >= CLEARANCE) & (caster.clearance(places) < _UNDERFOOT)
     number = np.where(free, np.cumsum(free) - 1, -1).reshape(shape)

@@ -4,22 +4,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.simulation.meshes.parameters import MeshParameters, MeshSceneKind
+from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.scenes.halls import garage, lobby, stairs, warehouse
 from pipeline.simulation.meshes.scenes.outdoors import park, street
 from pipeline.simulation.meshes.scenes.rooms import corridor, office, room
 from pipeline.simulation.meshes.stage import Stage
 
-_SCENES: dict[MeshSceneKind, Callable[[Stage, MeshParameters], None]] = {
-    MeshSceneKind.CORRIDOR: corridor,
-    MeshSceneKind.GARAGE: garage,
-    MeshSceneKind.LOBBY: lobby,
-    MeshSceneKind.OFFICE: office,
-    MeshSceneKind.PARK: park,
-    MeshSceneKind.ROOM: room,
-    MeshSceneKind.STAIRS: stairs,
-    MeshSceneKind.STREET: street,
-    MeshSceneKind.WAREHOUSE: warehouse,
+_SCENES: dict[str, Callable[[Stage, MeshParameters], None]] = {
+    build.__name__: build
+    for build in (corridor, garage, lobby, office, park, room, stairs, street, warehouse)
 }
 
 

@@ -13,9 +13,9 @@ from pipeline.simulation.meshes.building import (
 )
 from pipeline.simulation.meshes.mesh import sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage, level
+from pipeline.simulation.meshes.stage import At, Floor, Lane, Matter, Stage, Thing, level
 from pipeline.simulation.meshes.vehicles import VEHICLES
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 _BAY, _DEEP, _AISLE = 2.5, 5.2, 6.0
 
@@ -33,21 +33,22 @@ def lobby(stage: Stage, told: MeshParameters) -> None:
             wall(stage, here, there, 0, high, ((length / 2, 1.8, 0, 2.2),), 0.1, Matter.GLASS)
         else:
             outer_wall(stage, here, there, 0, high)
-    _pillars(stage, long, wide, high)
-    _counters(stage, long)
-    _islands(stage, told, long, wide)
-    _railings(stage, long, wide)
-    _upper_floor(stage, long, wide, high)
-
-
-def _pillars(stage: Stage, long: float, wide: float, high: float) -> None:
-    u = stage.random.uniform
     if u() < 0.75:
         pitch = u(4.5, 9)
         for x in np.arange(pitch / 2, long, pitch):
             for y in np.arange(pitch / 2, wide, pitch):
                 if u() < 0.9:
                     pillar(stage, x, y, high)
+    _counters(stage, long)
+    _islands(stage, told, long, wide)
+    for _ in range(int(u(0, 4))):
+        x, y, length = u(2, long - 4), u(5, wide - 2), u(2, 6)
+        end = (x + length, y) if u() < 0.5 else (x, y + min(length, wide - 1 - y))
+        f.railing(stage, [x, y, 0], [*end, 0])
+    if high >= 5.5 and u() >= 0.4:  # a gallery along one wall
+        deep, floor = u(2, 4), u(2.9, 3.4)
+        stage.block([0, wide - deep, floor - 0.25], [long, wide, floor], Surface.FLOOR)
+        f.railing(stage, [0, wide - deep, floor], [long, wide - deep, floor])
 
 
 def _counters(stage: Stage, long: float) -> None:
@@ -69,63 +70,33 @@ def _counters(stage: Stage, long: float) -> None:
 def _tapes(stage: Stage, x: float, y: float) -> None:
     """Put posts with tape between them on both sides of a queue."""
     lines, radii = [], []
-    for side in (-0.6, 0.6):
-        posts = y + np.arange(4) * 1.6
-        for post in posts:
-            lines.append([[x + side, post, 0], [x + side, post, 0.95]])
-            radii.append([0.03, 0.03])
-        for height in (0.9, 0.86):
-            lines.append([[x + side, posts[0], height], [x + side, posts[-1], height]])
-            radii.append([0.015, 0.015])
-    stage.mesh(tubes(lines, np.array(radii), 5), Surface.FURNITURE)
+    posts = y + np.arange(4) * 1.6
+    for at in (x - 0.6, x + 0.6):
+        lines += [[[at, post, 0], [at, post, 0.95]] for post in posts]
+        lines += [[[at, posts[0], high], [at, posts[-1], high]] for high in (0.9, 0.86)]
+        radii += [0.03] * 4 + [0.015] * 2
+    stage.mesh(tubes(lines, np.array(radii)[:, None], 5))
 
 
 def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
     """Scatter tables, benches, sofas, plants, boards and shelves."""
     random, u = stage.random, stage.random.uniform
+
+    def plants(stage: Stage, at: At) -> None:
+        for _ in range(int(u(1, 5))):
+            f.plant(stage, (at[0] + u(-0.6, 0.6), at[1] + u(-0.6, 0.6), 0, 0), u(0.6, 2.6))
+
+    things: list[Thing] = [
+        lambda stage, at: f.table(stage, at, int(u(2, 9))), f.sofa, f.bench, f.bench, plants,
+        f.sign, lambda stage, at: f.shelf(stage, at, u(1, 2.5)), f.bin_,
+    ]  # fmt: skip
     for _ in range(random.poisson(long * wide / 45 * told.clutter)):
         at = (u(1.5, long - 1.5), u(4, wide - 1.5), 0.0, u(0, 2 * np.pi))
-        kind = random.integers(8)
-        if kind == 0:
-            f.table(stage, at, int(u(2, 9)))
-        elif kind == 1:
-            f.sofa(stage, at)
-        elif kind in (2, 3):
-            f.bench(stage, at)
-        elif kind == 4:
-            for _ in range(int(u(1, 5))):
-                f.plant(stage, (at[0] + u(-0.6, 0.6), at[1] + u(-0.6, 0.6), 0, 0), u(0.6, 2.6))
-        elif kind == 5:
-            f.sign(stage, at)
-        elif kind == 6:
-            f.shelf(stage, at, u(1, 2.5))
-        else:
-            f.bin_(stage, at)
+        stage.pick(things)(stage, at)
     for _ in range(random.poisson(6 * told.clutter)):
         side = random.random() < 0.5
         at = (u(1, long - 1), 0.4 if side else wide - 0.4, 0.0, np.pi / 2 if side else -np.pi / 2)
         stage.pick([f.plant, f.cabinet, f.shelf, f.coat_rack, f.chair])(stage, at)
-
-
-def _railings(stage: Stage, long: float, wide: float) -> None:
-    u = stage.random.uniform
-    for _ in range(int(u(0, 4))):
-        x, y, length = u(2, long - 4), u(5, wide - 2), u(2, 6)
-        along = (
-            np.array([length, 0, 0]) if u() < 0.5 else np.array([0, min(length, wide - 1 - y), 0])
-        )
-        start = np.array([x, y, 0.0])
-        f.railing(stage, start, start + along)
-
-
-def _upper_floor(stage: Stage, long: float, wide: float, high: float) -> None:
-    """Put a gallery along one wall where the hall is high."""
-    u = stage.random.uniform
-    if high < 5.5 or u() < 0.4:
-        return
-    deep, floor = u(2, 4), u(2.9, 3.4)
-    stage.block([0, wide - deep, floor - 0.25], [long, wide, floor], Surface.FLOOR)
-    f.railing(stage, np.array([0, wide - deep, floor]), np.array([long, wide - deep, floor]))
 
 
 def stairs(stage: Stage, told: MeshParameters) -> None:
@@ -153,11 +124,10 @@ def stairs(stage: Stage, told: MeshParameters) -> None:
         _things(stage, told, long, wide, base, (x0 - 1.5, y0 - 0.8, x1 + 1.5, y0 + broad + 0.8))
     for x in (long * 0.3, long * 0.7):
         pillar(stage, x, u(0.5, 1.0), 2 * storey)
-    lead = np.array([[x0 - 0.8, y0 + broad / 2, 0], [x0 - 0.1, y0 + broad / 2, 0]])
     share = np.linspace(0, 1, 12)[1:-1]
-    climb = np.column_stack([x0 + share * (x1 - x0), np.full(10, y0 + broad / 2), share * storey])
-    top = np.array([[x1 + 0.2, y0 + broad / 2, storey], [x1 + 0.8, y0 + broad / 2, storey]])
-    stage.links.append(np.concatenate([lead, climb, top]))
+    along = [x0 - 0.8, x0 - 0.1, *(x0 + share * (x1 - x0)), x1 + 0.2, x1 + 0.8]
+    up = [0.0, 0.0, *(share * storey), storey, storey]
+    stage.links.append(np.column_stack([along, np.full(len(along), y0 + broad / 2), up]))
 
 
 def _flight(
@@ -166,24 +136,20 @@ def _flight(
     """Build the steps, handrails beside them, and railings about the well above."""
     u = stage.random.uniform
     x0, y0, broad = well
-    rise = storey / steps
+    rise, middle = storey / steps, y0 + broad / 2
     solid = u() < 0.5
     rows = []
     for step in range(steps):
-        top = (step + 1) * rise
+        x, top = x0 + (step + 0.5) * run, (step + 1) * rise
         deep = top if solid else rise * 1.3
-        rows.append(
-            [x0 + (step + 0.5) * run, y0 + broad / 2, top - deep / 2, run + 0.02, broad, deep]
-        )
+        rows.append([x, middle, top - deep / 2, run + 0.02, broad, deep])
     stage.boxes(rows, Surface.FLOOR)
     x1 = x0 + steps * run
     for y in (y0 + 0.06, y0 + broad - 0.06):
-        f.railing(stage, np.array([x0, y, 0]), np.array([x1, y, storey]), 0.95)
-        edge = y - 0.1 if y < y0 + broad / 2 else y + 0.1
-        f.railing(stage, np.array([x0, edge, storey]), np.array([x1, edge, storey]), 1.05)
-    f.railing(
-        stage, np.array([x0 - 0.05, y0, storey]), np.array([x0 - 0.05, y0 + broad, storey]), 1.05
-    )
+        f.railing(stage, [x0, y, 0], [x1, y, storey], 0.95)
+        edge = y - 0.1 if y < middle else y + 0.1
+        f.railing(stage, [x0, edge, storey], [x1, edge, storey], 1.05)
+    f.railing(stage, [x0 - 0.05, y0, storey], [x0 - 0.05, y0 + broad, storey], 1.05)
 
 
 def _things(
@@ -192,16 +158,16 @@ def _things(
 ) -> None:  # fmt: skip
     random, u = stage.random, stage.random.uniform
     low_x, low_y, top_x, top_y = kept_free
+    things: list[Thing] = [
+        lambda stage, at: f.table(stage, at, int(u(2, 7))),
+        *(f.plant, f.bench, f.sofa, f.shelf, f.sign),
+    ]
     for _ in range(random.poisson(long * wide / 25 * told.clutter)):
         x, y = u(0.8, long - 0.8), u(0.8, wide - 0.8)
         if low_x < x < top_x and low_y < y < top_y:
             continue
         at = (x, y, base, u(0, 2 * np.pi))
-        kind = int(random.integers(6))
-        if kind == 0:
-            f.table(stage, at, int(u(2, 7)))
-        else:
-            (f.plant, f.bench, f.sofa, f.shelf, f.sign)[kind - 1](stage, at)
+        stage.pick(things)(stage, at)
 
 
 def garage(stage: Stage, told: MeshParameters) -> None:
@@ -239,7 +205,7 @@ def _bays(stage: Stage, bays: int, y: float, yaw: float, full: float) -> None:
             turn = yaw + np.pi * (random.random() < 0.4) + u(-0.03, 0.03)
             mesh = VEHICLES[kind](random)
             if mesh.vertices[:, 2].max() < 2.15:
-                f.place(stage, mesh, (x, y + u(-0.2, 0.2), 0, turn), Surface.VEHICLE, u(0.05, 0.7))
+                stage.mesh(mesh, Surface.VEHICLE, (x, y + u(-0.2, 0.2), 0, turn), u(0.05, 0.7))
 
 
 def _structure(
@@ -254,9 +220,8 @@ def _structure(
         for number in range(aisles):
             for y in (number * pitch + _DEEP - 0.2, (number + 1) * pitch - _DEEP + 0.2):
                 stage.block([x - 0.2, y - 0.2, 0], [x + 0.2, y + 0.2, high], Surface.WALL)
-    pipes = [
-        [[1, y, high - 0.12], [long - 1, y, high - 0.12]] for y in u(0.5, wide - 0.5, int(u(1, 7)))
-    ]
+    top = high - 0.12
+    pipes = [[[1, y, top], [long - 1, y, top]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
     stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
     if random.random() < 0.6:
         y = (aisles - 1) * pitch + _DEEP
@@ -275,9 +240,8 @@ def _car_lanes(stage: Stage, long: float, aisles: int, pitch: float) -> None:
         xs = np.linspace(1.5, long - 1.5, 20)
         forth = np.column_stack([xs, np.full(20, y - 1.2), 0 * xs])
         back = np.column_stack([xs[::-1], np.full(20, y + 1.2), 0 * xs])
-        stage.lanes.append(
-            Lane(np.concatenate([forth, back, forth[:1]]), ("car", "car", "van"), (1.5, 5))
-        )
+        line = np.concatenate([forth, back, forth[:1]])
+        stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
 
 
 def warehouse(stage: Stage, told: MeshParameters) -> None:
@@ -325,7 +289,7 @@ def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron
         thing(stage, (u(1, wide - 1), long - 0.5, 0.0, -np.pi / 2))
     if random.random() < 0.5:
         y = apron - 0.6
-        f.railing(stage, np.array([u(1, wide / 2), y, 0]), np.array([wide / 2 + 2, y, 0]), 1.1)
+        f.railing(stage, [u(1, wide / 2), y, 0], [wide / 2 + 2, y, 0], 1.1)
 
 
 def _forklift_lanes(stage: Stage, aisles: list[float], long: float, apron: float) -> None:

@@ -1,24 +1,20 @@
 """Scenes without a roof: a street, a park."""
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.meshes import furniture as f
-from pipeline.simulation.meshes.building import (
-    wall,
-)
-from pipeline.simulation.meshes.mesh import Mesh, boxes, leaves, sheet, tubes
+from pipeline.simulation.meshes.building import wall
+from pipeline.simulation.meshes.mesh import Mesh, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Floor, Lane, Matter, Stage
+from pipeline.simulation.meshes.stage import At, Floor, Height, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.scene import Surface
 
 _KERB = 0.12
 _STOREY = 3.1
-Height = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
 def street(stage: Stage, told: MeshParameters) -> None:
@@ -34,14 +30,12 @@ def street(stage: Stage, told: MeshParameters) -> None:
         inner, outer = half, half + wide
         _facades(stage, long, side, outer, slope, green)
         _parked(stage, long, side, inner, slope)
-        _pavement_things(stage, told, long, side, inner, outer, slope)
+        _pavement_things(stage, told.clutter, long, side, inner, outer, slope)
         bounds = (0.0, min(side * inner, side * outer), long, max(side * inner, side * outer))
         stage.floors.append(Floor(bounds, lambda x, y: _KERB + slope * x))
-    road = Floor((0.0, -half + 0.1, long, half - 0.1), lambda x, y: slope * x)
-    stage.floors.append(road)
+    stage.floors.append(Floor((0.0, -half + 0.1, long, half - 0.1), lambda x, y: slope * x))
     for x in (0.1 * long, 0.5 * long, 0.9 * long):  # where one may cross
-        line = np.array([[x, y, slope * x] for y in np.linspace(-half, half, 7)])
-        stage.links.append(line)
+        stage.links.append(np.array([[x, y, slope * x] for y in np.linspace(-half, half, 7)]))
     lane = half * 0.32
     for y, turn in ((lane, -1), (-lane, 1)):
         xs = np.linspace(-40, long + 40, 40)[::turn]
@@ -56,18 +50,11 @@ def street(stage: Stage, told: MeshParameters) -> None:
 def _ground(stage: Stage, long: float, half: float, pavements: list[float], slope: float) -> None:
     """Lay carriageway, kerbs and pavements."""
     x = np.linspace(-60, long + 60, 60)
-    widths = [
-        -half - pavements[1] - 25,
-        -half - 0.01,
-        -half,
-        half,
-        half + 0.01,
-        half + pavements[0] + 25,
-    ]
-    rise = [_KERB, _KERB, 0, 0, _KERB, _KERB]
-    grid = np.empty((len(x), len(widths), 3))
-    grid[..., 0], grid[..., 1] = x[:, None], np.array(widths)
-    grid[..., 2] = slope * x[:, None] + np.array(rise)
+    north, south = (half + wide + 25 for wide in pavements)
+    grid = np.empty((60, 6, 3))
+    grid[..., 0] = x[:, None]
+    grid[..., 1] = [-south, -half - 0.01, -half, half, half + 0.01, north]
+    grid[..., 2] = slope * x[:, None] + [_KERB, _KERB, 0, 0, _KERB, _KERB]
     stage.mesh(sheet(grid), Surface.FLOOR, albedo=float(stage.random.uniform(0.1, 0.4)))
 
 
@@ -111,18 +98,15 @@ def _house(stage: Stage, along: tuple[float, float], side: float, edge: float, b
     middle = (x0 + x1) / 2
     inner = [[middle, side * (edge + 4), base + high / 2, x1 - x0, 0.2, high]]
     inner += [[x, side * (edge + 2), base + high / 2, 0.2, 4, high] for x in (x0, x1)]
-    inner += [
-        [middle, side * (edge + 2), base + number * _STOREY, x1 - x0, 4, 0.2]
-        for number in range(1, floors + 1)
-    ]
+    ceilings = base + np.arange(1, floors + 1) * _STOREY
+    inner += [[middle, side * (edge + 2), z, x1 - x0, 4, 0.2] for z in ceilings]
     stage.boxes(inner, Surface.WALL)
 
 
 def _balcony(stage: Stage, x0: float, x1: float, side: float, edge: float, z: float) -> None:
-    row = [(x0 + x1) / 2, side * (edge - 0.5), z, x1 - x0, 1.0, 0.15]
-    stage.boxes(row, Surface.WALL)
+    stage.boxes([(x0 + x1) / 2, side * (edge - 0.5), z, x1 - x0, 1.0, 0.15], Surface.WALL)
     y = side * (edge - 1)
-    f.railing(stage, np.array([x0, y, z]), np.array([x1, y, z]))
+    f.railing(stage, [x0, y, z], [x1, y, z])
 
 
 def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: float) -> None:
@@ -176,24 +160,14 @@ def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -
     while x < long - 3:
         if random.random() < share:
             kind = str(random.choice(["car", "car", "car", "van"]))
-            at = (
-                x + 2.5,
-                side * (kerb - 1.1),
-                slope * x,
-                (0 if side < 0 else np.pi) + u(-0.03, 0.03),
-            )
-            f.place(stage, VEHICLES[kind](random), at, Surface.VEHICLE, u(0.05, 0.7))
+            yaw = (0 if side < 0 else np.pi) + u(-0.03, 0.03)
+            at = (x + 2.5, side * (kerb - 1.1), slope * x, yaw)
+            stage.mesh(VEHICLES[kind](random), Surface.VEHICLE, at, u(0.05, 0.7))
         x += u(5.4, 7.2)
 
 
 def _pavement_things(
-    stage: Stage,
-    told: MeshParameters,
-    long: float,
-    side: float,
-    inner: float,
-    outer: float,
-    slope: float,
+    stage: Stage, clutter: float, long: float, side: float, inner: float, outer: float, slope: float
 ) -> None:
     random, u = stage.random, stage.random.uniform
     trees = random.random() < 0.5
@@ -204,8 +178,8 @@ def _pavement_things(
             f.tree(stage, at, u(5, 11))
         else:
             lamp = [[[0, 0, 0], [0, 0, 6.5]], [[0, 0, 6.5], [0, -side * 1.2, 6.7]]]
-            f.place(stage, tubes(lamp, 0.06, 7), at)
-    for _ in range(random.poisson(long / 9 * told.clutter)):
+            stage.mesh(tubes(lamp, 0.06, 7), at=at)
+    for _ in range(random.poisson(long / 9 * clutter)):
         x = u(1, long - 1)
         kerb_side = random.random() < 0.5
         y = side * (inner + 0.35 if kerb_side else outer - 0.4)
@@ -217,17 +191,13 @@ def _pavement_things(
             f.bin_(stage, at)
         elif kind == 2:
             f.bicycle_stand(stage, (at[0], at[1], at[2], 0.0), int(u(2, 6)))
-            f.place(stage, VEHICLES["bicycle"](random), (x, y, at[2], u(0, 3)), Surface.VEHICLE)
+            stage.mesh(VEHICLES["bicycle"](random), Surface.VEHICLE, (x, y, at[2], u(0, 3)))
         elif kind == 3:
-            posts = [
-                [[x + n * 1.4, y, at[2]], [x + n * 1.4, y, at[2] + 0.9]]
-                for n in range(int(u(2, 8)))
-            ]
-            stage.mesh(tubes(posts, 0.05, 7), Surface.FURNITURE)
+            feet = x + 1.4 * np.arange(int(u(2, 8)))
+            stage.mesh(tubes([[[x, y, at[2]], [x, y, at[2] + 0.9]] for x in feet], 0.05, 7))
         elif kind == 4:
-            post = [[[0, 0, 0], [0, 0, 2.6]]]
-            f.place(stage, tubes(post, 0.03, 5), at)
-            f.place(stage, boxes([0, 0, 2.4, 0.02, 0.6, 0.6]), at)
+            stage.mesh(tubes([[[0, 0, 0], [0, 0, 2.6]]], 0.03, 5), at=at)
+            stage.boxes([0, 0, 2.4, 0.02, 0.6, 0.6], at=at)
         elif kind == 5:
             f.bush(stage, at)
         elif kind == 6:
@@ -248,7 +218,7 @@ def park(stage: Stage, told: MeshParameters) -> None:
     stage.mesh(sheet(grid), Surface.FLOOR, albedo=u(0.2, 0.6))
     stage.floors.append(Floor((0.0, 0.0, side, side), height))
 
-    def at(x: float, y: float) -> f.At:
+    def at(x: float, y: float) -> At:
         return (x, y, float(height(np.array(x), np.array(y))), u(0, 2 * np.pi))
 
     for _ in range(random.poisson(side * side / u(60, 300))):
@@ -312,7 +282,7 @@ def _edges(stage: Stage, height: Height, side: float) -> None:
     for _ in range(int(u(0, 3))):
         x, y = u(10, side - 10, 2)
         z = float(height(np.array(x), np.array(y)))
-        stage.mesh(boxes([0, 0, 2, u(5, 10), u(4, 8), 7]).placed(x, y, z, u(0, 3)), Surface.WALL)
+        stage.boxes([0, 0, 2, u(5, 10), u(4, 8), 7], Surface.WALL, (x, y, z, u(0, 3)))
 
 
 def _path(stage: Stage, height: Height, side: float) -> None:

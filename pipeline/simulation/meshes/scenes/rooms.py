@@ -5,48 +5,40 @@ import numpy as np
 from pipeline.simulation.meshes import furniture as f
 from pipeline.simulation.meshes.building import ceiling, level_ground, outer_wall, sides, wall
 from pipeline.simulation.meshes.parameters import MeshParameters
-from pipeline.simulation.meshes.stage import Door, Matter, Stage
-from pipeline.simulation.shapes import Surface
+from pipeline.simulation.meshes.stage import Door, Matter, Stage, Thing
+from pipeline.simulation.scene import Surface
 
 _DOOR = 2.1
+
+_Room = tuple[float, float, float, float]  # x0, y0, x1, y1
+_Row = tuple[float, float, float]  # y0, y1, and where the corridor is: 1 above, -1 below
 
 
 def office(stage: Stage, told: MeshParameters) -> None:
     """Build an office floor: corridors, rooms with desks, meeting rooms behind glass, a kitchen."""
     u = stage.random.uniform
-    long, rows = u(16, 38), int(u(1, 3))
+    long, pairs = u(16, 38), int(u(1, 3))
     high, corridor = u(2.4, 3.4), u(1.6, 2.8)
-    stage_rows: list[tuple[float, float, float]] = []
-    y = 0.0
-    for _ in range(rows):
+    rows: list[_Row] = []
+    wide = 0.0
+    for side in (1.0, -1.0) * pairs:
         depth = u(3.2, 6.5)
-        stage_rows.append((y, y + depth, 1.0))
-        y += depth + corridor
-        second = u(3.2, 6.5)
-        stage_rows.append((y, y + second, -1.0))
-        y += second
-    wide = y
+        rows.append((wide, wide + depth, side))
+        wide += depth + (corridor if side > 0 else 0.0)
     bounds = (0.0, 0.0, long, wide)
     level_ground(stage, bounds, u(0.15, 0.7))
     ceiling(stage, bounds, high)
     for here, there in sides(long, wide):
         outer_wall(stage, here, there, 0.0, high)
-    for low, top, side in stage_rows:
-        _rooms(stage, told, long, low, top, side, high)
-    _corridors(stage, told, long, stage_rows)
+    for row in rows:
+        _rooms(stage, told, long, row, high)
+    _corridors(stage, told, long, rows)
 
 
-def _rooms(
-    stage: Stage,
-    told: MeshParameters,
-    long: float,
-    low: float,
-    top: float,
-    side: float,
-    high: float,
-) -> None:
-    """Divide one row into rooms; `side` says where the corridor is: 1 above, -1 below."""
+def _rooms(stage: Stage, told: MeshParameters, long: float, row: _Row, high: float) -> None:
+    """Divide one row into rooms."""
     random, u = stage.random, stage.random.uniform
+    low, top, side = row
     front = top if side > 0 else low
     if random.random() < 0.12:  # open plan
         _furnish(stage, told, (0.3, low, long - 0.3, top), "desks")
@@ -58,8 +50,7 @@ def _rooms(
             end = long
         width = u(0.85, 1.1) if random.random() < 0.85 else u(1.5, min(2.4, end - x - 0.5))
         along = u(0.2, max(0.25, end - x - width - 0.2))
-        glass = random.random() < 0.6 * told.glass
-        matter = Matter.GLASS if glass else Matter.SOLID
+        matter = Matter.GLASS if random.random() < 0.6 * told.glass else Matter.SOLID
         wall(stage, (x, front), (end, front), 0, high, ((along, width, 0, _DOOR),), 0.12, matter)
         if end < long:
             wall(stage, (end, low), (end, top), 0, high)
@@ -73,16 +64,12 @@ def _rooms(
         kind = str(random.choice(["desks", "desks", "meeting", "store", "kitchen", "lounge"]))
         _furnish(stage, told, (x + 0.2, low + 0.2, end - 0.2, top - 0.2), kind)
         if random.random() < 0.3 * told.mirrors:
-            at = end - 0.08
-            stage.block(
-                [at - 0.01, low + 1, 0.6], [at, low + 1.8, 1.9], Surface.WALL, matter=Matter.MIRROR
-            )
+            first, last = [end - 0.08 - 0.01, low + 1, 0.6], [end - 0.08, low + 1.8, 1.9]
+            stage.block(first, last, Surface.WALL, matter=Matter.MIRROR)
         x = end
 
 
-def _furnish(
-    stage: Stage, told: MeshParameters, room: tuple[float, float, float, float], kind: str
-) -> None:
+def _furnish(stage: Stage, told: MeshParameters, room: _Room, kind: str) -> None:
     random, u = stage.random, stage.random.uniform
     x0, y0, x1, y1 = room
     if x1 - x0 < 1.5 or y1 - y0 < 1.5:
@@ -115,7 +102,7 @@ def _furnish(
         _against_a_wall(stage, room)
 
 
-def _against_a_wall(stage: Stage, room: tuple[float, float, float, float]) -> None:
+def _against_a_wall(stage: Stage, room: _Room) -> None:
     random, u = stage.random, stage.random.uniform
     x0, y0, x1, y1 = room
     side = int(random.integers(4))
@@ -126,9 +113,7 @@ def _against_a_wall(stage: Stage, room: tuple[float, float, float, float]) -> No
     thing(stage, at)
 
 
-def _corridors(
-    stage: Stage, told: MeshParameters, long: float, rows: list[tuple[float, float, float]]
-) -> None:
+def _corridors(stage: Stage, told: MeshParameters, long: float, rows: list[_Row]) -> None:
     """Put plants, cabinets and bins along the corridors, close to their walls."""
     random, u = stage.random, stage.random.uniform
     for first, second in zip(rows[::2], rows[1::2], strict=True):
@@ -180,8 +165,9 @@ def _side(
             width = u(0.85, 1.2)
             begin = u(0.3, max(0.35, end - x - width - 0.3))
             shut = random.random() < 0.35
-            wall(stage, (x, front), (end, front), 0, high, ((begin, width, 0, 2.1),), 0.12,
-                 Matter.GLASS if glass else Matter.SOLID)  # fmt: skip
+            matter = Matter.GLASS if glass else Matter.SOLID
+            hole = (begin, width, 0, _DOOR)
+            wall(stage, (x, front), (end, front), 0, high, (hole,), 0.12, matter)
             leaf = [width / 2, 0, 1.03, width, 0.045, 2.06]
             if shut:
                 recess = front + side * 0.1
@@ -197,20 +183,19 @@ def _side(
         x = end
 
 
-def _room(stage: Stage, told: MeshParameters, room: tuple[float, float, float, float]) -> None:
+def _room(stage: Stage, told: MeshParameters, room: _Room) -> None:
     random, u = stage.random, stage.random.uniform
     x0, y0, x1, y1 = room
     if x1 - x0 < 1.6:
         return
+    things: list[Thing] = [
+        lambda stage, at: f.desk(stage, at, told.clutter),
+        lambda stage, at: f.table(stage, at, int(u(1, 5))),
+        *(f.shelf, f.office_chair, f.plant),
+    ]
     for _ in range(random.poisson(3 * told.clutter)):
         at = (u(x0 + 0.3, x1 - 0.3), u(y0 + 1.4, y1 - 1.4), 0.0, u(0, 2 * np.pi))
-        kind = int(random.integers(5))
-        if kind == 0:
-            f.desk(stage, at, told.clutter)
-        elif kind == 1:
-            f.table(stage, at, int(u(1, 5)))
-        else:
-            (f.shelf, f.office_chair, f.plant)[kind - 2](stage, at)
+        stage.pick(things)(stage, at)
 
 
 def _along_the_walls(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
@@ -229,7 +214,7 @@ def _along_the_walls(stage: Stage, told: MeshParameters, long: float, wide: floa
             f.bench(stage, (x, y, 0, yaw))
         elif kind == 2:
             side = 0.12 if low else wide - 0.12
-            f.railing(stage, np.array([x, side, 0]), np.array([x + u(2, 8), side, 0]), 0.95)
+            f.railing(stage, [x, side, 0], [x + u(2, 8), side, 0], 0.95)
         else:
             (f.plant, f.bin_, f.coat_rack, f.cabinet)[kind - 3](stage, (x, y, 0, yaw))
     if random.random() < 0.3 * told.mirrors:
@@ -251,7 +236,7 @@ def room(stage: Stage, told: MeshParameters) -> None:
     wall(stage, (0, 0), (0, wide + passage), 0, high)
     begin, width = u(0.4, long - 1.8), u(0.85, 1.3)
     matter = Matter.GLASS if random.random() < 0.4 * told.glass else Matter.SOLID
-    wall(stage, (0, wide), (long, wide), 0, high, ((begin, width, 0, 2.1),), 0.12, matter)
+    wall(stage, (0, wide), (long, wide), 0, high, ((begin, width, 0, _DOOR),), 0.12, matter)
     stage.doors.append(Door(begin, wide, 0, 0, width, 2.06))
     _middle(stage, told, long, wide)
     _edges(stage, told, long, wide)
@@ -284,10 +269,8 @@ def _edges(stage: Stage, told: MeshParameters, long: float, wide: float) -> None
     random, u = stage.random, stage.random.uniform
     for _ in range(random.poisson(7 * told.clutter)):
         side = int(random.integers(3))
-        at = [
-            (0.35, u(0.5, wide - 0.5), 0.0, 0.0),
-            (u(0.5, long - 0.5), 0.35, 0.0, np.pi / 2),
-            (long - 0.35, u(0.5, wide - 0.5), 0.0, np.pi),
-        ][side]
+        west, south, east = u(0.5, wide - 0.5), u(0.5, long - 0.5), u(0.5, wide - 0.5)
+        x, y = ((0.35, west), (south, 0.35), (long - 0.35, east))[side]
+        at = (x, y, 0.0, side * np.pi / 2)
         things = [f.shelf, f.cabinet, f.plant, f.coat_rack, f.sofa, f.bin_, f.chair, f.desk]
         stage.pick(things)(stage, at)
