@@ -199,7 +199,7 @@ def fence(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None
         places = np.arange(pitch / 2, length, pitch)
         rows = [[x, 0, high / 2 + 0.05, wide, 0.02, high] for x in places]
         rows += [[length / 2, 0.03, share * high, length, 0.04, 0.08] for share in (0.25, 0.8)]
-        stage.boxes(rows, _F, (*start, float(np.arctan2(along[1], along[0]))))
+        stage.boxes(rows, at=(*start, float(np.arctan2(along[1], along[0]))))
         return
     lines, radii = [], []
     for pitch, thin in ((2.5, 0.025), (u(0.05, 0.2), u(0.001, 0.003))):
@@ -210,7 +210,7 @@ def fence(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None
     for height in np.arange(u(0.05, 0.3), high, u(0.05, 0.25)):
         lines.append([start + [0, 0, height], end + [0, 0, height]])
         radii.append([thin, thin])
-    stage.mesh(tubes(np.array(lines), np.array(radii), 3), _F)
+    stage.mesh(tubes(np.array(lines), np.array(radii), 3))
 
 
 def counter(stage: Stage, at: At, long: float = 3.0) -> None:
