@@ -1,7 +1,6 @@
 """Train the models of the evidence from simulated scenes alone, and say how well they do.
 
-    python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--standing 50]
-                                  [--driven 40] [--keep FOLDER]
+    python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--keep FOLDER]
                                   [--models posed_model.json]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
@@ -32,7 +31,6 @@ from benchmarks.training.judging import (
     reliability,
 )
 from benchmarks.training.maps import TrainingMap, training_maps
-from benchmarks.training.scenes import DRIVEN, STANDING
 from dynahull.evidence.model import MAP_FILE, MAP_ONLY, MODELS, AskedTerms
 from dynahull.parameters import RemovalParameters
 
@@ -42,8 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the data files")
     parser.add_argument("--seeds", type=int, default=340)
-    parser.add_argument("--standing", type=int, default=50, help="seeds of sensors on tripods")
-    parser.add_argument("--driven", type=int, default=40, help="seeds of seconds of driving")
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     models = list(MODELS)
@@ -51,11 +48,7 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="write the reliability plot there (extra: plot)")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}")
-    seeds = [
-        *range(arguments.seeds),
-        *range(STANDING, STANDING + arguments.standing),
-        *range(DRIVEN, DRIVEN + arguments.driven),
-    ]
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.keep or Path(temporary)
         begun = time.monotonic()

@@ -1,7 +1,7 @@
 """Maps to learn from: simulated, cut to one size, and once more as sparser or noisier maps."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.training.scenes import DRIVEN, STANDING, parameters_of
 from dynahull.algorithm import find_clusters, set_ground_aside
 from dynahull.density import SPREAD_COLUMNS, cluster_densities
 from dynahull.evidence.lattice import Voxels
@@ -23,11 +22,11 @@ from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
-from pipeline.simulation.meshes import simulate_meshes
+from pipeline.simulation.meshes import random_parameters, simulate_meshes
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
 
-_LARGEST, _MOST, _MOST_STANDING = 350_000, 1_500_000, 2_500_000
+_LARGEST, _MOST = 350_000, 1_500_000
 """Points of a map: a window of it is cut out where there are more; narrow windows hold more."""
 
 _NARROW = 4.0
@@ -109,7 +108,7 @@ class _ChosenColumns:
 
 
 def training_maps(
-    seeds: Sequence[int], folder: Path, workers: int, timed: bool = True
+    seeds: range, folder: Path, workers: int, timed: bool = True
 ) -> Iterator[TrainingMap]:
     """Simulate maps and measure them, or read those that lie in the folder already.
 
@@ -127,8 +126,7 @@ def _make(folder: Path, timed: bool, seed: int) -> list[str]:
     if done.exists():
         return list(json.loads(done.read_text(encoding="utf-8")))
     random = np.random.default_rng(seed)
-    most = _MOST_STANDING if STANDING <= seed < DRIVEN else _MOST
-    whole = _window(_simulated(seed, random), random, most)
+    whole = _window(_simulated(seed, random), random)
     names = []
     for letter, variant in {"a": whole, "b": _variant(whole, random)}.items():
         name = f"{seed:05d}{letter}"
@@ -176,12 +174,11 @@ class _Scans:
 
 
 def _simulated(seed: int, random: np.random.Generator) -> _Made:
-    boxes = seed < STANDING and seed % _BOXES_EACH == _BOXES_EACH - 1
-    return _boxes(seed, random) if boxes else _meshes(seed)
+    return _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
 
 
 def _meshes(seed: int) -> _Made:
-    parameters = parameters_of(seed)
+    parameters = random_parameters(seed)
     made = simulate_meshes(parameters)
     points = made.points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
@@ -223,7 +220,7 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
     return _Made(xyz, truth, scan, scans, f"boxes_{kind}", "boxes")
 
 
-def _window(made: _Made, random: np.random.Generator, most: int) -> _Made:
+def _window(made: _Made, random: np.random.Generator) -> _Made:
     """Return the points about one of them, in a square that holds as many as are wanted.
 
     The one has moved more often than not, as most windows would hold nothing that did. Where most
@@ -237,7 +234,7 @@ def _window(made: _Made, random: np.random.Generator, most: int) -> _Made:
         among = np.flatnonzero(truth == MOVED) if seek else np.zeros(0, np.intp)
         centre = xyz[random.choice(among) if len(among) else random.integers(len(xyz)), :2]
         away = np.abs(xyz[:, :2] - centre).max(axis=1)
-        most = min(most, len(away) - 1)
+        most = min(_MOST, len(away) - 1)
         ranked = np.partition(away, (_LARGEST, most))
         half = min(max(ranked[_LARGEST], _NARROW), ranked[most])
         inside = np.flatnonzero(away <= half)

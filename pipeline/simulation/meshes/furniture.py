@@ -189,30 +189,6 @@ def railing(stage: Stage, start: ArrayLike, end: ArrayLike, high: float = 1.05) 
     stage.mesh(tubes(np.array(lines), radii[:, None], 4))
 
 
-def fence(stage: Stage, start: np.ndarray, end: np.ndarray, high: float) -> None:
-    """Place a fence between two places: boards, with gaps or without, or wire on posts."""
-    u = stage.random.uniform
-    length, along = float(np.linalg.norm(end - start)), end - start
-    if u() < 0.5:
-        pitch = u(0.09, 0.2)
-        wide = pitch if u() < 0.3 else pitch * u(0.5, 0.95)
-        places = np.arange(pitch / 2, length, pitch)
-        rows = [[x, 0, high / 2 + 0.05, wide, 0.02, high] for x in places]
-        rows += [[length / 2, 0.03, share * high, length, 0.04, 0.08] for share in (0.25, 0.8)]
-        stage.boxes(rows, at=(*start, float(np.arctan2(along[1], along[0]))))
-        return
-    lines, radii = [], []
-    for pitch, thin in ((2.5, 0.025), (u(0.05, 0.2), u(0.001, 0.003))):
-        for share in np.arange(0, length, pitch) / length:
-            foot = start + share * along
-            lines.append([foot, foot + [0, 0, high]])
-            radii.append([thin, thin])
-    for height in np.arange(u(0.05, 0.3), high, u(0.05, 0.25)):
-        lines.append([start + [0, 0, height], end + [0, 0, height]])
-        radii.append([thin, thin])
-    stage.mesh(tubes(np.array(lines), np.array(radii), 3))
-
-
 def counter(stage: Stage, at: At, long: float = 3.0) -> None:
     """Place a counter with things and screens on it."""
     u = stage.random.uniform

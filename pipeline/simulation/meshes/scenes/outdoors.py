@@ -114,16 +114,10 @@ def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: 
     random, u = stage.random, stage.random.uniform
     start, end = np.array([x0, side * edge, base]), np.array([x1, side * edge, base])
     border = random.random()
-    if border < 0.25:
+    if border < 0.4:
         f.hedge(stage, start, end, u(0.8, 1.9))
-    elif border < 0.4:
-        _thicket(stage, start, end, side)
-    elif border < 0.55:
+    elif border < 0.75:
         f.railing(stage, start, end, u(0.9, 1.8))
-    elif border < 0.85:
-        f.fence(stage, start, end, u(0.9, 2.2))
-        if random.random() < 0.4:  # overgrown
-            f.hedge(stage, start, end, u(0.6, 2.4))
     wild = u(0, 1)
     for _ in range(int(u(1, 5) + 8 * wild)):
         at = (u(x0 + 1, x1 - 1), side * (edge + u(0.5, 9)), base, u(0, 3))
@@ -138,16 +132,6 @@ def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: 
     if random.random() < 0.7:
         low, high = [x0, side * (edge + 12), base], [x1, side * (edge + 12) + 0.3, base + u(2, 6)]
         stage.block(low, high, Surface.WALL)
-
-
-def _thicket(
-    stage: Stage, start: NDArray[np.float64], end: NDArray[np.float64], side: float
-) -> None:
-    """Let shrubs grow in rows behind each other, some metres deep and of uneven height."""
-    u = stage.random.uniform
-    for back in np.arange(0, u(1, 5), 0.9):
-        shift = np.array([u(-0.4, 0.4), side * (back + 0.4), 0])
-        f.hedge(stage, start + shift, end + shift, u(0.6, 3.0))
 
 
 def _parked(stage: Stage, long: float, side: float, kerb: float, slope: float) -> None:
