@@ -69,9 +69,7 @@ def build_lattice(points: Floats, cell: float, reach: float) -> Lattice:
         np.clip(np.floor(points[:, axis] / cell), -FARTHEST_CELL, FARTHEST_CELL).astype(np.int64)
         for axis in range(2)
     )
-    keys, numbers = np.unique(
-        ((i >> BLOCK_BITS) << _KEY_BITS) + (j >> BLOCK_BITS), return_inverse=True
-    )
+    keys, numbers = _unique(((i >> BLOCK_BITS) << _KEY_BITS) + (j >> BLOCK_BITS))
     within = ((i & (BLOCK - 1)) << BLOCK_BITS) + (j & (BLOCK - 1))
     blocks = np.empty((len(keys), 2), np.int64)
     blocks[:, 1] = ((keys + _HALF_KEY) & _LOWER_KEY) - _HALF_KEY
@@ -95,6 +93,13 @@ def number_columns(points: Floats, cell: float) -> tuple[Integers, Integers]:
     within = np.column_stack([(slots >> BLOCK_BITS) & (BLOCK - 1), slots & (BLOCK - 1)])
     cells = (lattice.blocks[slots >> _SLOT_BITS] << BLOCK_BITS) + within
     return (np.cumsum(occupied) - 1)[lattice.slots], cells
+
+
+def _unique(keys: Integers) -> tuple[Integers, Integers]:
+    """Return the keys that come, ascending, and which of them each is: runs are sorted as one."""
+    starts = np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1))
+    found, numbers = np.unique(keys[starts], return_inverse=True)
+    return found, np.repeat(numbers, np.diff(starts, append=len(keys)))
 
 
 def _neighbours(keys: Integers, span: int) -> Integers:
