@@ -54,13 +54,29 @@ def sort_columns(points: Floats, cell: float, threads: int = 1) -> Columns:
     numbers, cells = number_columns(points, cell)
     starts = starts_of(numbers, len(cells))
 
-    def sort(first_column: int, end_column: int) -> Integers:
-        rows = np.flatnonzero((numbers >= first_column) & (numbers < end_column))
-        return rows[np.lexsort((points[rows, 2], numbers[rows]))]
-
+    sort = partial(_sorted_rows, points[:, 2].copy(), numbers, starts)
     bounds = group_bounds(starts, threads, _SMALLEST_RANGE)
     rows = np.concatenate(over_ranges(sort, bounds, threads))
     return Columns(points[rows, 2], rows, starts, cells)
+
+
+@compiled
+def _sorted_rows(
+    heights: Floats, numbers: Integers, starts: Integers, first_column: int, end_column: int
+) -> Integers:
+    """Return the points of a range of columns by column, by height, and then by row."""
+    begin = starts[first_column]
+    rows = np.empty(starts[end_column] - begin, np.int64)
+    place = starts[first_column:end_column] - begin
+    for row in range(len(numbers)):
+        column = numbers[row] - first_column
+        if 0 <= column < len(place):
+            rows[place[column]] = row
+            place[column] += 1
+    for column in range(first_column, end_column):
+        own = rows[starts[column] - begin : starts[column + 1] - begin]
+        own[:] = own[np.argsort(heights[own], kind="mergesort")]
+    return rows
 
 
 @helper
