@@ -30,6 +30,9 @@ _NAMED = 3
 _COMPUTING = ("dynahull-pipeline", "numpy", "scikit-learn", "numba")
 """What other versions of might compute other bits."""
 
+_FORMAT = 2
+"""Of the files that tasks leave: work of another format is begun anew."""
+
 
 def open_job(
     work: Path,
@@ -79,7 +82,7 @@ def job_key(digest: str, configuration: Configuration) -> str:
     decisive = configuration.model_dump(mode="json", exclude={"execution", "cluster"})
     output = configuration.output
     decisive["output"] = {"labels": output.needs_scores, "report": output.report}
-    text = json.dumps([[*map(version, _COMPUTING)], digest, decisive], sort_keys=True)
+    text = json.dumps([_FORMAT, [*map(version, _COMPUTING)], digest, decisive], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -613,6 +613,15 @@ def test_work_of_other_versions_of_libraries_is_not_gone_on_with(
     assert results(interrupted) == expected
 
 
+def test_work_in_files_of_another_format_is_not_gone_on_with(
+    map_file, interrupted, monkeypatch, expected
+):
+    monkeypatch.setattr(opening, "_FORMAT", opening._FORMAT + 1)
+    report = cleaned(map_file, interrupted)
+    assert [each for each in report.warnings if "another version" in each]
+    assert results(interrupted) == expected
+
+
 def test_a_file_in_the_place_of_the_work_folder_is_no_obstacle(map_file, tmp_path, expected):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / WORK).write_bytes(b"")
