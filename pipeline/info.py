@@ -16,6 +16,7 @@ from pipeline.units import in_words
 from tiling.collection import MapCollection, find_map_files
 from tiling.foreign_text import LONGEST_LINE, escaped, printable
 from tiling.formats import MapReader
+from tiling.formats.points import only_finite
 from tiling.formats.units import Units
 from tiling.resolution import coarse_step_notes, typical_place
 
@@ -132,7 +133,7 @@ def inspect_map(maps: Sequence[str | Path], poses: str | None = None) -> MapInfo
     finite_count, sample = 0, [np.empty((0, 3))]
     with DuplicateCounter(collection.point_count) as duplicates:
         for _, batch in collection.batches():
-            finite = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+            finite = only_finite(batch.xyz)
             finite_count += len(finite)
             duplicates.add(finite)
             sample.append(finite[:: max(len(finite) // _SAMPLED, 1)].copy())

@@ -17,6 +17,7 @@ from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
 from tiling.formats.parquet_tables import open_parquet
+from tiling.formats.points import only_finite
 from tiling.grid import Grid
 from tiling.layout import Layout
 from tiling.output_file import create_file
@@ -165,14 +166,14 @@ def read_chunk(store: ChunkStore, tile: int) -> Chunk:
     return chunk
 
 
-def read_core_rows(store: ChunkStore, tile: int) -> NDArray[np.int64]:
-    """Return the row numbers of a tile's core; of Parquet no more is read than these."""
+def read_rows(store: ChunkStore, tile: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return `rows` and `core` of a tile's chunk; of Parquet no more is read than these."""
     if store.format != "parquet":
         chunk = read_chunk(store, tile)
-        return chunk.rows[chunk.core]
+        return chunk.rows, chunk.core
     with open_parquet(store.chunk_path(tile)) as file:
         table = file.read(["row", "core"], use_threads=False)
-    return np.asarray(table.column("row").filter(table.column("core")))
+    return table.column("row").to_numpy(), table.column("core").to_numpy()
 
 
 def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
@@ -272,7 +273,7 @@ def grid_of(collection: MapCollection, survey: Survey) -> Grid:
     candidates = [*(grid for grid in own if grid is not None), *_grids_within(survey)]
     lost = survey.maximum
     for _, batch in collection.batches():
-        xyz = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+        xyz = only_finite(batch.xyz)
         for grid in list(candidates):
             off = np.flatnonzero(~grid.holds(xyz))
             if len(off):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats import MapReader, open_map
+from tiling.formats.points import only_finite
 
 _SCAN_FOLDERS = ("velodyne", "Scans", "scans")
 _POSE_FILES = ("optimized_poses.txt", "poses.txt")
@@ -255,7 +256,7 @@ def _are_around_origin(readers: Sequence[MapReader], poses: Matrices) -> bool:
     for file in np.argsort(-away, kind="stable")[:5].tolist():
         batch = next(readers[file].batches(_LOOKED_AT), None) if away[file] > _FAR else None
         if batch is not None:
-            xyz = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+            xyz = only_finite(batch.xyz)
             to_origin = np.median(np.linalg.norm(xyz, axis=1)) if len(xyz) else np.inf
             to_sensor = np.median(np.linalg.norm(xyz - poses[file, :, 3], axis=1))
             votes.append(bool(to_origin < 0.5 * to_sensor))

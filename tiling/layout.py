@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.occupancy import FARTHEST, Occupancy, columns_of
+from tiling.formats.points import only_finite
+from tiling.occupancy import FARTHEST, Occupancy, columns_of, distinct_columns
 
 NO_TILE = -1
 """The tile of a point without finite coordinates, and of one that was not in the survey."""
@@ -100,10 +101,19 @@ class Layout:
         tiles = np.full(len(xyz), NO_TILE, np.int32)
         if not len(self):
             return tiles
-        places = np.flatnonzero(np.isfinite(xyz).all(axis=1))
-        columns = columns_of(xyz[places], self.cell)
-        inside = (columns >= self.origin).all(axis=1)
-        places, columns = places[inside], columns[inside]
+        finite = only_finite(xyz)
+        columns, numbers = distinct_columns(columns_of(finite, self.cell))
+        found = self._tile_of_columns(columns)[numbers]
+        if len(finite) == len(xyz):
+            return found
+        tiles[np.isfinite(xyz).all(axis=1)] = found
+        return tiles
+
+    def _tile_of_columns(self, columns: Columns) -> NDArray[np.int32]:
+        """Return the tile that each column of the lattice is in, or `NO_TILE`."""
+        tiles = np.full(len(columns), NO_TILE, np.int32)
+        places = np.flatnonzero((columns >= self.origin).all(axis=1))
+        columns = columns[places]
         # A leaf of the quadtree is a run of the Z curve, and its core begins within it: so the tile
         # is the last that begins no later.
         begins = _morton_keys(self.begins - self.origin)

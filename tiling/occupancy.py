@@ -16,6 +16,9 @@ FINEST_CELL = 0.25
 MOST_COLUMNS = 2_000_000
 """Occupied columns beyond which the lattice is coarsened to cells twice as wide."""
 
+_LARGEST_RASTER = 16
+"""Columns of a rectangle for each that comes: in a larger one they are sorted instead."""
+
 FARTHEST = 2.0**38
 """Metres from the origin; points beyond are counted in the column at the edge."""
 
@@ -50,6 +53,31 @@ def columns_of(xyz: NDArray[np.float64], cell: float) -> Columns:
     Points beyond `FARTHEST` are in the column at the edge.
     """
     return np.floor(np.clip(xyz[:, :2], -FARTHEST, FARTHEST) / cell).astype(np.int64)
+
+
+def distinct_columns(columns: Columns) -> tuple[Columns, NDArray[np.intp]]:
+    """Return the columns that come, each once and in order, and which of them each that came is."""
+    if not len(columns):
+        return columns, np.zeros(0, np.intp)
+    low, high = columns.min(axis=0), columns.max(axis=0)
+    wide, deep = (high - low + 1).tolist()
+    if wide * deep > _LARGEST_RASTER * len(columns):
+        return _distinct_by_sorting(columns)
+    places = (columns[:, 0] - low[0]) * deep + (columns[:, 1] - low[1])
+    raster = np.zeros(wide * deep, np.intp)
+    raster[places] = 1
+    held = np.flatnonzero(raster)
+    raster[held] = np.arange(len(held))
+    return np.column_stack(np.divmod(held, deep)) + low, raster[places]
+
+
+def _distinct_by_sorting(columns: Columns) -> tuple[Columns, NDArray[np.intp]]:
+    order = np.lexsort((columns[:, 1], columns[:, 0]))
+    ordered = columns.take(order, axis=0)
+    is_new = (np.diff(ordered, axis=0, prepend=ordered[:1] - 1) != 0).any(axis=1)
+    numbers = np.empty(len(columns), np.intp)
+    numbers[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], numbers
 
 
 def count_within(
@@ -90,8 +118,8 @@ class ColumnCounter:
 
     def add_points(self, xyz: NDArray[np.float64]) -> None:
         """Count points, whose coordinates are finite."""
-        points = Occupancy(self.cell, columns_of(xyz, self.cell), np.ones(len(xyz), np.int64))
-        self.add(_summed([points], self.cell))
+        columns, numbers = distinct_columns(columns_of(xyz, self.cell))
+        self.add(Occupancy(self.cell, columns, np.bincount(numbers, minlength=len(columns))))
 
     def add(self, occupancy: Occupancy) -> None:
         """Count the points of an occupancy."""
@@ -115,8 +143,7 @@ def _summed(parts: Sequence[Occupancy], cell: float) -> Occupancy:
     steps = [round(np.log2(cell / part.cell)) for part in parts]
     columns = np.concatenate([part.columns >> n for part, n in zip(parts, steps, strict=True)])
     counts = np.concatenate([part.counts for part in parts])
-    order = np.lexsort((columns[:, 1], columns[:, 0]))
-    columns, counts = columns.take(order, axis=0), counts.take(order)
-    starts = np.flatnonzero((np.diff(columns, axis=0, prepend=columns[:1] - 1) != 0).any(axis=1))
-    sums = np.add.reduceat(counts, starts) if len(starts) else counts
-    return Occupancy(cell, columns.take(starts, axis=0), sums)
+    occupied, numbers = distinct_columns(columns)
+    sums = np.zeros(len(occupied), np.int64)
+    np.add.at(sums, numbers, counts)
+    return Occupancy(cell, occupied, sums)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tiling.collection import MapCollection
 from tiling.formats.base import MapReader
-from tiling.formats.points import coordinate_names
+from tiling.formats.points import coordinate_names, only_finite
 
 COARSE = 0.01
 """Metres. The method measures the room that 75 neighbours take, which are centimetres apart: a
@@ -27,7 +27,7 @@ def typical_place(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     A few strays, or invalid points at the origin, do not move it. Points that are not finite do
     not count; 0 where there are no others.
     """
-    finite = xyz[np.isfinite(xyz).all(axis=1)]
+    finite = only_finite(xyz)
     return np.median(np.abs(finite), axis=0) if len(finite) else np.zeros(3)
 
 
@@ -90,5 +90,5 @@ def _is_rounded(reader: MapReader, kind: str) -> bool:
     first = next(reader.batches(_LOOKED_AT), None)
     if first is None:
         return False
-    finite = first.xyz[np.isfinite(first.xyz).all(axis=1)]
+    finite = only_finite(first.xyz)
     return bool((finite.astype(kind) == finite).all())

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.collection import MapCollection
-from tiling.formats.points import PointBatch
+from tiling.formats.points import PointBatch, only_finite
 from tiling.occupancy import ColumnCounter, Occupancy
 
 
@@ -79,7 +79,7 @@ def survey_batches(batches: Iterable[PointBatch]) -> Survey:
     minimum, maximum = _no_bounds()
     counter = ColumnCounter()
     for batch in batches:
-        finite = batch.xyz[np.isfinite(batch.xyz).all(axis=1)]
+        finite = only_finite(batch.xyz)
         points += len(batch.xyz)
         finite_count += len(finite)
         minimum = np.minimum(minimum, finite.min(axis=0, initial=np.inf))

@@ -1,6 +1,7 @@
 """The task that scores one tile."""
 
 from collections.abc import Iterator
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +17,7 @@ from dynahull.labels import Label
 from dynahull.warn import density_levels
 from pipeline.tiles.borders import CoreDensities, Region, core_densities
 from pipeline.tiles.free_points import TilesAround
-from pipeline.tiles.ground import SAMPLE_NAMES, labelled_points, own_points, region_of
+from pipeline.tiles.ground import SAMPLE_NAMES, labelled_points, own_rows, region_of
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
@@ -179,14 +180,18 @@ class KeptScores:
 
     def densities(self, cluster: int) -> NDArray[np.float64]:
         """Return the densities of its points in a cluster."""
-        (starts,) = self._job.work.load("density", self._tile, "starts")
         grouped = self._job.work.map("density", self._tile, "grouped")
-        return grouped[starts[cluster] : starts[cluster + 1]]
+        return grouped[self._starts[cluster] : self._starts[cluster + 1]]
 
     def rows_at(self, cluster: int, density: float) -> NDArray[np.int64]:
         """Return the row numbers of its points in a cluster that have just this density."""
-        if not (self.densities(cluster) == density).any():
+        tied = np.flatnonzero(self.densities(cluster) == density)
+        if not len(tied):
             return np.zeros(0, np.int64)
-        found, densities = scores_of(self._job, self._tile)
-        tied = (found == cluster) & (densities == density)
-        return np.asarray(own_points(self._job, self._tile).rows[tied])
+        order = self._job.work.map("density", self._tile, "order")
+        own = order[self._starts[cluster] + tied]
+        return np.asarray(own_rows(self._job, self._tile)[own])
+
+    @cached_property
+    def _starts(self) -> NDArray[np.int64]:
+        return self._job.work.load("density", self._tile, "starts")[0]

@@ -23,7 +23,7 @@ from pipeline.tiles.nearest import FreePoints
 from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import Job
-from tiling.chunks import Chunk, read_chunk
+from tiling.chunks import Chunk, read_chunk, read_rows
 
 SAMPLE_NAMES = ("sample_xyz", "sample_rows")
 LABELS = "labels"
@@ -161,6 +161,13 @@ def labelled_points(job: Job, tile: int) -> tuple[Chunk, NDArray[np.uint8]]:
 def own_points(job: Job, tile: int) -> FreePoints:
     """Return the ground-free points of a tile's core."""
     return _own(*labelled_points(job, tile))
+
+
+def own_rows(job: Job, tile: int) -> NDArray[np.int64]:
+    """Return the row numbers of `own_points`."""
+    (labels,) = job.work.load(job.labelling, tile, LABELS)
+    rows, core = read_rows(job.store, tile)
+    return np.asarray(rows[core & (labels == Label.STATIC)])
 
 
 def _own(chunk: Chunk, labels: NDArray[np.uint8]) -> FreePoints:

@@ -26,7 +26,7 @@ from pipeline.tiles.weighing import judge_tile, scan_views
 from pipeline.work.files import GO_ON, make_rows, open_rows, read_sealed, write_sealed
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import JOB_FILE, Job
-from tiling.chunks import read_core_rows
+from tiling.chunks import read_rows
 
 CUTS_FILE = "cuts.json"
 
@@ -210,10 +210,11 @@ class RowResults:
 
     def add(self, tile: int) -> None:
         """Take over what the label task of a tile kept."""
-        rows = read_core_rows(self._job.store, tile)
+        rows, core = read_rows(self._job.store, tile)
+        own = rows[core]
         values = self._job.work.load("label", tile, *self._files)
         for file, of_tile in zip(self._files.values(), values, strict=True):
-            file[rows] = of_tile
+            file[own] = of_tile
 
     def flush(self) -> None:
         """Let other processes see it, on other machines as well."""

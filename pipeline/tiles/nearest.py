@@ -3,14 +3,18 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.reference import nearest_neighbours
 
-_MOST_CELLS = 1_000
-"""Cells of a vicinity along each axis: a million together, a byte each."""
+_MOST_CELLS = 2_000
+"""Cells of a vicinity along each axis: four million together, a byte each."""
+
+_CELLS_REACHED = 6
+"""Cells of a vicinity that the farthest reach is long, where it has no more than the most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +40,8 @@ class FreePoints:
 class Vicinity:
     """The surroundings, seen from above, of some points.
 
-    A raster of square cells at least as wide as the farthest reach: all cells that hold one of the
-    points, and those around these. So it holds every place within reach of a point, and some more.
+    A raster of square cells: all that a point reaches into. So it holds every place within reach of
+    a point, and some more.
 
     Parameters
     ----------
@@ -57,18 +61,21 @@ class Vicinity:
     def __init__(self, xyz: NDArray[np.float64], reach: NDArray[np.float64]) -> None:
         flat, self.reach = xyz[:, :2], float(reach.max())
         extent = flat.max(axis=0) - flat.min(axis=0)
-        # Wider than the reach, and than what coordinates tell apart, by more than the rounding of a
-        # place can move it: so never two cells away.
+        # Wider than what coordinates tell apart, by more than rounding can move a place.
         rounding = float(np.spacing(np.abs(flat).max()))
-        self._cell = max(self.reach * 1.001, float(extent.max()) / _MOST_CELLS, 1e4 * rounding)
-        self.low = flat.min(axis=0) - 2 * self._cell
+        widest = self.reach / _CELLS_REACHED
+        self._cell = max(widest, float(extent.max()) / _MOST_CELLS, 1e4 * rounding)
+        cells_reached = reach / self._cell * 1.001
+        most = int(cells_reached.max()) + 1
+        self.low = flat.min(axis=0) - (most + 1) * self._cell
         cells = ((flat - self.low) / self._cell).astype(np.int64)
-        shape = cells.max(axis=0) + 3
+        shape = cells.max(axis=0) + most + 2
         self.high = self.low + shape * self._cell
         self._marked = np.zeros(shape, np.bool_)
-        for step_x in (-1, 0, 1):
-            for step_y in (-1, 0, 1):
-                self._marked[cells[:, 0] + step_x, cells[:, 1] + step_y] = True
+        for x, y in product(range(-most, most + 1), repeat=2):
+            apart = np.hypot(max(abs(x) - 1, 0), max(abs(y) - 1, 0))
+            reached = cells[cells_reached >= apart]
+            self._marked[reached[:, 0] + x, reached[:, 1] + y] = True
 
     def holds(self, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which of other points lie there, (m,) bool."""

@@ -79,6 +79,7 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
 
     A worker that takes more bytes of memory is stopped, and its task tried elsewhere.
     """
+    start_fork_server()  # it imports what workers need while this process imports Dask
     with site_settings_aside(), local_client(workers, memory) as client:
         yield OnDask(client)
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from tiling.formats import PointBatch
 from tiling.layout import NO_TILE, Layout, morton_order, quadtree
-from tiling.occupancy import columns_of, count_within
+from tiling.occupancy import columns_of, count_within, distinct_columns
 from tiling.survey import survey_batches
 
 
@@ -131,3 +131,12 @@ def test_the_z_curve_takes_the_bits_in_turn(columns):
 
     order = morton_order(np.array(columns, dtype=np.int64))
     assert [key(*columns[place]) for place in order] == sorted(key(*each) for each in columns)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.sampled_from([1, 3, 40, 10**6, 2**60]))
+def test_distinct_columns_are_those_that_come_in_order(seed, count, extent):
+    columns = np.random.default_rng(seed).integers(-extent, extent, (count, 2))
+    found, numbers = distinct_columns(columns)
+    np.testing.assert_array_equal(found, np.unique(columns, axis=0))
+    np.testing.assert_array_equal(found[numbers], columns)

@@ -116,6 +116,13 @@ class PointBatch:
         )
 
 
+def only_finite(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the points, of (n, 3), whose coordinates are all finite: a view where all are."""
+    if not len(xyz) or np.isfinite([xyz.min(), xyz.max()]).all():
+        return xyz
+    return xyz[np.isfinite(xyz).all(axis=1)]
+
+
 def checked_rows(name: str, rows: range | None, point_count: int) -> range:
     """Return consecutive rows that a map has: those given, or all.
 
