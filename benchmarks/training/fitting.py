@@ -46,11 +46,11 @@ class FitOptions:
     first_trees, second_trees, first_leaves, second_leaves : int
     """
 
-    points: int = 3_000
-    first_trees: int = 120
-    first_leaves: int = 24
-    second_trees: int = 60
-    second_leaves: int = 12
+    points: int = 4_000
+    first_trees: int = 300
+    first_leaves: int = 32
+    second_trees: int = 100
+    second_leaves: int = 16
 
 
 @dataclass(frozen=True, slots=True)
