@@ -98,20 +98,20 @@ class Layout:
 
         It is `NO_TILE` where a coordinate is not finite.
         """
-        tiles = np.full(len(xyz), NO_TILE, np.int32)
-        if not len(self):
-            return tiles
         finite = only_finite(xyz)
         columns, numbers = distinct_columns(columns_of(finite, self.cell))
         found = self._tile_of_columns(columns)[numbers]
         if len(finite) == len(xyz):
             return found
+        tiles = np.full(len(xyz), NO_TILE, np.int32)
         tiles[np.isfinite(xyz).all(axis=1)] = found
         return tiles
 
     def _tile_of_columns(self, columns: Columns) -> NDArray[np.int32]:
         """Return the tile that each column of the lattice is in, or `NO_TILE`."""
         tiles = np.full(len(columns), NO_TILE, np.int32)
+        if not len(self):
+            return tiles
         places = np.flatnonzero((columns >= self.origin).all(axis=1))
         columns = columns[places]
         # A leaf of the quadtree is a run of the Z curve, and its core begins within it: so the tile

@@ -16,8 +16,8 @@ FINEST_CELL = 0.25
 MOST_COLUMNS = 2_000_000
 """Occupied columns beyond which the lattice is coarsened to cells twice as wide."""
 
-_LARGEST_RASTER = 16
-"""Columns of a rectangle for each that comes: in a larger one they are sorted instead."""
+_LARGEST_RASTER, _RASTER_EACH = 1 << 22, 16
+"""Columns of a rectangle, at most (16 MiB), and for each that comes: else these are sorted."""
 
 FARTHEST = 2.0**38
 """Metres from the origin; points beyond are counted in the column at the edge."""
@@ -61,14 +61,14 @@ def distinct_columns(columns: Columns) -> tuple[Columns, NDArray[np.intp]]:
         return columns, np.zeros(0, np.intp)
     low, high = columns.min(axis=0), columns.max(axis=0)
     wide, deep = (high - low + 1).tolist()
-    if wide * deep > _LARGEST_RASTER * len(columns):
+    if wide * deep > min(_LARGEST_RASTER, _RASTER_EACH * len(columns)):
         return _distinct_by_sorting(columns)
     places = (columns[:, 0] - low[0]) * deep + (columns[:, 1] - low[1])
-    raster = np.zeros(wide * deep, np.intp)
+    raster = np.zeros(wide * deep, np.int32)
     raster[places] = 1
     held = np.flatnonzero(raster)
     raster[held] = np.arange(len(held))
-    return np.column_stack(np.divmod(held, deep)) + low, raster[places]
+    return np.column_stack(np.divmod(held, deep)) + low, raster[places].astype(np.intp)
 
 
 def _distinct_by_sorting(columns: Columns) -> tuple[Columns, NDArray[np.intp]]:

@@ -5,6 +5,7 @@ points around. It was learnt from simulated scenes alone; `python -m benchmarks.
 a file.
 """
 
+import hashlib
 import json
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -348,8 +349,16 @@ def model_file(viewpoints: Viewpoints | None) -> str:
 @lru_cache(maxsize=3)
 def evidence_model(name: str = MAP_FILE) -> EvidenceModel:
     """Return one of `MODELS`."""
-    file = files("dynahull.evidence").joinpath(name)
-    return EvidenceModel.of(json.loads(file.read_text(encoding="utf-8")))
+    return EvidenceModel.of(json.loads(_data_file(name)))
+
+
+def models_digest() -> str:
+    """Return a hash of all `MODELS`: scores of others are not to be mixed with theirs."""
+    return hashlib.sha256(b"".join(map(_data_file, MODELS))).hexdigest()
+
+
+def _data_file(name: str) -> bytes:
+    return files("dynahull.evidence").joinpath(name).read_bytes()
 
 
 def _bounds(count: int) -> list[int]:

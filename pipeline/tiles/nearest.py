@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dynahull.reference import nearest_neighbours
 
-_MOST_CELLS = 2_000
-"""Cells of a vicinity along each axis: four million together, a byte each."""
+_MOST_CELLS = 1_000
+"""Cells of a vicinity along each axis: a million together, a byte each."""
 
 _CELLS_REACHED = 6
 """Cells of a vicinity that the farthest reach is long, where it has no more than the most."""

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from dynahull.evidence.model import models_digest
 from pipeline.configuration.run import Configuration
 from pipeline.progress import StageObserver
 from pipeline.work.files import read_if_whole
@@ -78,11 +79,13 @@ def _is_of_another(work: Path, key: str) -> bool:
 
 
 def job_key(digest: str, configuration: Configuration) -> str:
-    """Return the hash of all that decides what tasks leave: map, configuration, versions."""
+    """Return the hash of all that decides what tasks leave: the map, how it is cleaned, by what."""
     decisive = configuration.model_dump(mode="json", exclude={"execution", "cluster"})
     output = configuration.output
     decisive["output"] = {"labels": output.needs_scores, "report": output.report}
-    text = json.dumps([_FORMAT, [*map(version, _COMPUTING)], digest, decisive], sort_keys=True)
+    models = models_digest() if configuration.removal.weighs_evidence else None
+    computing = [_FORMAT, [*map(version, _COMPUTING)], models]
+    text = json.dumps([*computing, digest, decisive], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

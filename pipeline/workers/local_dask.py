@@ -79,7 +79,6 @@ def local_workers(workers: int, memory: int) -> Iterator[Executor]:
 
     A worker that takes more bytes of memory is stopped, and its task tried elsewhere.
     """
-    start_fork_server()  # it imports what workers need while this process imports Dask
     with site_settings_aside(), local_client(workers, memory) as client:
         yield OnDask(client)
 
@@ -115,13 +114,13 @@ def local_client(workers: int, memory: int) -> Iterator[Any]:
 
     They speak TLS, by a key that is made here and goes from process to process.
     """
+    start_fork_server()  # it imports what workers need while this process imports Dask
     import dask  # noqa: PLC0415 (its settings are to be set aside first)
     from distributed import Client, LocalCluster, Security  # noqa: PLC0415
 
     # It tells how every process and connection comes and goes.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     security = Security.temporary()
-    start_fork_server()
     with (
         dask.config.set(_SETTINGS),
         LocalCluster(

@@ -622,6 +622,14 @@ def test_work_in_files_of_another_format_is_not_gone_on_with(
     assert results(interrupted) == expected
 
 
+@pytest.mark.parametrize(("decision", "is_another"), [("auto", True), ("paper", False)])
+def test_scores_of_another_model_are_not_gone_on_with(decision, is_another, monkeypatch):
+    configuration = load_configuration(None, [f"removal.decision={decision}"])
+    before = opening.job_key("map", configuration)
+    monkeypatch.setattr(opening, "models_digest", lambda: "others")
+    assert (opening.job_key("map", configuration) != before) == is_another
+
+
 def test_a_file_in_the_place_of_the_work_folder_is_no_obstacle(map_file, tmp_path, expected):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / WORK).write_bytes(b"")
