@@ -27,7 +27,7 @@ from dynahull import clean
 from tiling.formats import open_map
 threads = int(sys.argv[2])
 batches = open_map(sys.argv[1], threads).batches(500_000)
-clean(np.concatenate([batch.xyz for batch in batches]), threads=threads)
+clean(np.concatenate([batch.xyz for batch in batches]), "paper", threads=threads)
 """
 
 

@@ -43,16 +43,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--maps", type=Path, default=Path("../shared/data/maps"))
     parser.add_argument("--only", choices=CUTS)
+    parser.add_argument("--config", default="auto", help="a ready configuration")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}")
     same = True
     for name in [arguments.only] if arguments.only else CUTS:
         with tempfile.TemporaryDirectory() as folder:
             whole, tiled = Path(folder) / "whole", Path(folder) / "tiled"
-            clean(arguments.maps / name, whole, ONE_TILE)
+            clean(arguments.maps / name, whole, [*ONE_TILE, "-c", arguments.config])
             for cut in CUTS[name]:
                 settings = [part for setting in cut for part in ("--set", setting)]
-                clean(arguments.maps / name, tiled, [*settings, "--keep-work"])
+                clean(
+                    arguments.maps / name, tiled, [*settings, "--keep-work", "-c", arguments.config]
+                )
                 tiles = len(list(tiled.glob(".dynahull-work/label/*.done")))
                 equal = all(
                     (whole / each).read_bytes() == (tiled / each).read_bytes()

@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("scale"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--max-points", type=int, default=1_000_000)
-    parser.add_argument("--config", help="a ready configuration in place of the default")
+    parser.add_argument("--config", default="paper", help="a ready configuration")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}; {arguments.workers} workers")
     for points in arguments.points:
@@ -49,8 +49,7 @@ def main() -> None:
         settings = ["--set", f"execution.workers={arguments.workers}"]
         settings += ["--set", f"tiling.max_points={arguments.max_points}"]
         clean = ["run", str(folder / "map.pcd"), "-o", str(folder / "out"), *settings]
-        if arguments.config:
-            clean += ["-c", arguments.config]
+        clean += ["-c", arguments.config]
         work = folder / "out" / WORK_FOLDER
         seconds, peak, used, files = measured([*COMMAND, *clean], folder / "log", work)
         print(

@@ -69,7 +69,7 @@ def seconds(path: Path, settings: list[str]) -> float:
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": ""}
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()
-        command = [*COMMAND, str(path), *settings, "-o", folder]
+        command = [*COMMAND, str(path), "-c", "paper", *settings, "-o", folder]
         subprocess.run(command, check=True, capture_output=True, env=environment)
         return time.perf_counter() - begun
 

@@ -58,7 +58,9 @@ def measure(path: Path, settings: list[str]) -> tuple[float, dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         begun = perf_counter()
         subprocess.run(
-            [*COMMAND, str(path), *settings, "-o", folder], check=True, capture_output=True
+            [*COMMAND, str(path), "-c", "paper", *settings, "-o", folder],
+            check=True,
+            capture_output=True,
         )
         whole = perf_counter() - begun
         report = json.loads((Path(folder) / "run.json").read_text(encoding="utf-8"))

@@ -103,7 +103,7 @@ def clean(
     observer : Observer, optional
         Told about stages, progress and warnings.
     **sections
-        Single sections in place of `parameters`: `clean(points, neighbours={"k": 50})`.
+        Keys in place of those of `parameters`: `clean(points, neighbours={"k": 50})`.
 
     Raises
     ------

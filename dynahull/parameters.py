@@ -25,10 +25,11 @@ __all__ = [
 
 READY: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "paper": {},
-        "auto": {"removal": {"decision": "auto", "confidence": 0.5}},
-        "indoor": {"max_height": 2.5},
+        "auto": {"removal": {"decision": "auto"}},
+        "paper": {"removal": {"decision": "paper"}},
+        "indoor": {"max_height": 2.5, "removal": {"decision": "paper"}},
         "outdoor": {
+            "removal": {"decision": "paper"},
             "ground": {
                 "method": "slope",
                 "slope": {
@@ -48,12 +49,16 @@ READY: Mapping[str, Mapping[str, Any]] = MappingProxyType(
                         "tolerance_limit": 100.0,
                     },
                 },
-            }
+            },
         },
     }
 )
 """The ready parameters, by name: sections that differ from the defaults. `configs/` has them with
 what a run of the product needs."""
+
+
+_OF_EQUATION = {"min_percent", "max_percent", "threshold"}
+"""Keys of `removal` that Eq. 1 alone looks at."""
 
 
 class ClusteringParameters(BaseModel, extra="forbid", frozen=True):
@@ -93,10 +98,11 @@ class DensityParameters(BaseModel, extra="forbid", frozen=True):
 class RemovalParameters(BaseModel, extra="forbid", frozen=True):
     """How it is decided what goes: by the paper's share of each cluster (Eq. 1), or by evidence."""
 
-    decision: Literal["paper", "auto"] = Field(
-        "paper",
-        description="`paper`: the least dense points of each cluster, as many as Eq. 1 says. "
-        "`auto`: what the evidence says moved, and nothing where nothing did.",
+    decision: Literal["auto", "paper"] = Field(
+        "auto",
+        description="`auto`: what the evidence says moved, and nothing where nothing did. `paper`: "
+        "the least dense points of each cluster, as many as Eq. 1 says; the default where a key of "
+        "Eq. 1 (`min_percent`, `max_percent`, `threshold`) is given.",
     )
     confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.5,
@@ -124,6 +130,13 @@ class RemovalParameters(BaseModel, extra="forbid", frozen=True):
         "corners, between the heights `low` and `high`. `--protect FILE` reads them.",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _decided_by_what_is_given(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and "decision" not in given and _OF_EQUATION & given.keys():
+            return {**given, "decision": "paper"}
+        return given
+
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.min_percent > self.max_percent:
@@ -143,7 +156,8 @@ class RemovalParameters(BaseModel, extra="forbid", frozen=True):
 class MethodParameters(BaseModel, extra="forbid", frozen=True):
     """All parameters of the method, by the steps of Algorithm 1.
 
-    The defaults are those of the paper: k = 75, five clusters, 5 to 20 percent removed.
+    The defaults are those of the paper (k = 75, five clusters), but for what goes: points that more
+    likely moved than not, by the evidence.
     """
 
     ground: GroundParameters = GroundParameters()
@@ -167,7 +181,7 @@ class MethodParameters(BaseModel, extra="forbid", frozen=True):
     def chosen(
         cls, given: "MethodParameters | Mapping[str, Any] | str | None", sections: Mapping[str, Any]
     ) -> "MethodParameters":
-        """Return what is given, whole or by name, with single sections in place of its own.
+        """Return what is given, whole or by name, with the keys of sections in place of its own.
 
         Raises
         ------
@@ -184,14 +198,15 @@ class MethodParameters(BaseModel, extra="forbid", frozen=True):
         if isinstance(given, MethodParameters):
             if not sections:
                 return given
-            given = {name: getattr(given, name) for name in MethodParameters.model_fields}
+            given = given.model_dump()
         if given is not None and not isinstance(given, Mapping):
             raise InvalidParametersError(
                 "parameters: expected MethodParameters, a dictionary of sections, or the name of "
                 f"a ready configuration ({', '.join(READY)}), found an object of type "
                 f"{type(given).__name__}"
             )
-        return cls.of({**(given or {}), **sections})
+        own = given or {}
+        return cls.of({**own, **{name: _over(own.get(name), sections[name]) for name in sections}})
 
     @classmethod
     def of(cls, sections: dict[str, Any]) -> Self:
@@ -206,6 +221,15 @@ class MethodParameters(BaseModel, extra="forbid", frozen=True):
             return cls.model_validate(sections)
         except ValidationError as error:
             raise InvalidParametersError(validation_message(error, cls)) from error
+
+
+def _over(own: Any, given: Any) -> Any:
+    """Return a section with the keys that are given in place of its own."""
+    if isinstance(own, BaseModel):
+        own = own.model_dump()
+    if isinstance(own, Mapping) and isinstance(given, Mapping):
+        return {**own, **given}
+    return given
 
 
 def validation_message(invalid: ValidationError, model: type[BaseModel]) -> str:

@@ -265,7 +265,7 @@ def _verify_labels(
         return VerificationError(f"{path}: expected {expected}, found other labels")
 
     removal = configuration.removal
-    sums = _ClusterSums(len(report.clusters))
+    sums = _ClusterSums([cluster.index for cluster in report.clusters])
     labels = np.zeros(len(Label), np.int64)
     for columns in _protected(path, collection, configuration):
         safe, dynamic = columns[_SAFE], columns[LABEL] == Label.DYNAMIC
@@ -287,38 +287,39 @@ def _verify_labels(
         sums.counts.tolist(), removal.min_percent, removal.max_percent, configuration.neighbours.k
     )
     reached = sums.thresholds(lambda: _protected(path, collection, configuration))
-    for cluster, share in zip(report.clusters, shares, strict=True):
+    for place, (cluster, share) in enumerate(zip(report.clusters, shares, strict=True)):
         number = cluster.index
-        count, gone = int(sums.counts[number]), int(sums.gone[number])
-        finite = int(sums.finite[number])
+        count, gone = int(sums.counts[place]), int(sums.gone[place])
+        finite = int(sums.finite[place])
         if (cluster.count, cluster.removed) != (count, gone):
             raise fail(f"the points of cluster {number} that {RUN_FILE} has")
-        wanted, spared = min(removal_count(share, count), finite), bool(sums.spared[number])
+        wanted, spared = min(removal_count(share, count), finite), bool(sums.spared[place])
         if removal.threshold == "rank" and (gone > wanted if spared else gone != wanted):
             raise fail(f"{float(share):.2f} % of cluster {number} to be dynamic (Eq. 1)")
         fewest = 0 if spared else removable_count(share, count, finite)
         if removal.threshold == "stepped" and 0 < gone < fewest:
             raise fail(f"{float(share):.2f} % of cluster {number} or more to be dynamic")
-        if not reached[number]:
+        if not reached[place]:
             raise fail(f"the least dense points of cluster {number} to be dynamic")
 
 
 class _ClusterSums:
-    """What is counted of each cluster."""
+    """What is counted of each cluster, in the order of their numbers, which may have gaps."""
 
-    def __init__(self, clusters: int) -> None:
-        self.counts, self.finite, self.gone, self.spared = np.zeros((4, clusters), np.int64)
-        self._densest = np.full(clusters, -np.inf)
+    def __init__(self, numbers: list[int]) -> None:
+        self._numbers = numbers
+        self.counts, self.finite, self.gone, self.spared = np.zeros((4, len(numbers)), np.int64)
+        self._densest = np.full(len(numbers), -np.inf)
 
     def add(self, columns: Columns) -> None:
-        for number, rows, density, dynamic in self._clusters(columns):
-            self.spared[number] += np.count_nonzero(columns[_SAFE][rows])
+        for place, rows, density, dynamic in self._clusters(columns):
+            self.spared[place] += np.count_nonzero(columns[_SAFE][rows])
             finite = np.isfinite(density)
-            self.counts[number] += len(density)
-            self.finite[number] += np.count_nonzero(finite)
-            self.gone[number] += np.count_nonzero(dynamic & finite)
+            self.counts[place] += len(density)
+            self.finite[place] += np.count_nonzero(finite)
+            self.gone[place] += np.count_nonzero(dynamic & finite)
             gone = density[dynamic & finite]
-            self._densest[number] = gone.max(initial=self._densest[number])
+            self._densest[place] = gone.max(initial=self._densest[place])
 
     def thresholds(self, again: Callable[[], Iterator[Columns]]) -> list[bool]:
         """Tell for each cluster whether no point stays that is less dense than one that goes.
@@ -330,20 +331,20 @@ class _ClusterSums:
         first_kept = np.full(len(self.counts), np.iinfo(np.int64).max)
         row = 0
         for columns in again():
-            for number, rows, density, dynamic in self._clusters(columns):
-                most = self._densest[number]
+            for place, rows, density, dynamic in self._clusters(columns):
+                most = self._densest[place]
                 stays = ~dynamic & ~columns[_SAFE][rows]
-                right[number] &= not bool(np.any(stays & (density < most)))
+                right[place] &= not bool(np.any(stays & (density < most)))
                 tied = density == most
                 gone, kept = rows[tied & dynamic] + row, rows[tied & stays] + row
-                last_gone[number] = gone.max(initial=last_gone[number])
-                first_kept[number] = kept.min(initial=first_kept[number])
+                last_gone[place] = gone.max(initial=last_gone[place])
+                first_kept[place] = kept.min(initial=first_kept[place])
             row += len(columns[LABEL])
         in_order = (last_gone < first_kept).tolist()
         return [one and other for one, other in zip(right, in_order, strict=True)]
 
     def _clusters(self, columns: Columns) -> Iterator[tuple[int, Any, Any, Any]]:
-        """Yield number, rows, densities, and which are dynamic, of the points of each cluster."""
-        for number in range(len(self.counts)):
+        """Yield place, rows, densities, and which are dynamic, of the points of each cluster."""
+        for place, number in enumerate(self._numbers):
             rows = np.flatnonzero(columns["cluster"] == number)
-            yield number, rows, columns[DENSITY][rows], columns[LABEL][rows] == Label.DYNAMIC
+            yield place, rows, columns[DENSITY][rows], columns[LABEL][rows] == Label.DYNAMIC

@@ -22,9 +22,8 @@ def over_neighbours(made: LabelledMap, choices: Sequence[int]) -> Iterator[tuple
     One thread; the ground step is left out, since k does not matter to it.
     """
     for k in choices:
-        parameters = MethodParameters.model_validate(
-            {"ground": {"method": "none"}, "neighbours": {"k": k}}
-        )
+        sections = {"ground": {"method": "none"}, "neighbours": {"k": k}}
+        parameters = MethodParameters.chosen("paper", sections)
         taken = []
         for _ in range(ROUNDS):
             begun = process_time()
@@ -42,7 +41,7 @@ def over_clusters(
     are to be read beside what was removed.
     """
     for count in choices:
-        parameters = MethodParameters.model_validate({"clustering": {"count": count}})
+        parameters = MethodParameters.chosen("paper", {"clustering": {"count": count}})
         kept = clean(made.xyz, parameters).kept
         yield count, *made.distances(kept), 100 * float(np.mean(~kept))
 
@@ -51,7 +50,7 @@ def over_ranges(
     made: LabelledMap, choices: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[float, float, float, float]]:
     """Yield the bounds of Eq. 1, percent, and SA and DA; densities are computed once."""
-    cleaned = clean(made.xyz, MethodParameters())
+    cleaned = clean(made.xyz, "paper")
     for low, high in choices:
         accuracy = made.accuracy(_kept(cleaned, low, high))
         assert accuracy.static_accuracy is not None and accuracy.dynamic_accuracy is not None

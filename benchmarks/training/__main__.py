@@ -69,7 +69,9 @@ def learn(
     maps: Sequence[TrainingMap], asked: AskedTerms, path: Path, arguments: argparse.Namespace
 ) -> None:
     """Learn from maps, judge what is left out, and write the mean of all models."""
-    options, workers = FitOptions(), arguments.workers
+    # Where scans are known, what they saw takes time as well.
+    options = FitOptions() if asked is MAP_ONLY else FitOptions(first_trees=120, quick_trees=40)
+    workers = arguments.workers
     training = train(maps, options, workers, asked)
     seconds = fit_seconds(training, options, workers)
     judged = judge(training, seconds, workers)

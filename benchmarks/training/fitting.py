@@ -11,7 +11,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
-from dynahull.evidence.forest import Forest
+from dynahull.evidence.forest import StagedForest
 from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms, pooled_terms
 from dynahull.evidence.summaries import summarise_odds
 from dynahull.evidence.terms import FALLING, RISING
@@ -44,11 +44,17 @@ class FitOptions:
     points : int
         Of each map, at most a third of them moved.
     first_trees, second_trees, first_leaves, second_leaves : int
+    quick_trees : int
+        Of the first round: asked about all points.
+    doubtful : float
+        Logarithm of odds above which the other trees of the first round are asked as well.
     """
 
     points: int = 4_000
     first_trees: int = 300
     first_leaves: int = 32
+    quick_trees: int = 60
+    doubtful: float = -3.5
     second_trees: int = 100
     second_leaves: int = 16
 
@@ -162,7 +168,7 @@ def _one_fold(
     maps, samples, lessons, fold, options, asked = task
     others = [lessons[n] for n, each in enumerate(maps) if fold_of(each) != fold]
     first = fit_first(others or lessons, options, asked)
-    forest = Forest.of(first)
+    forest = StagedForest.of(first)
     found = {}
     for number, each in enumerate(maps):
         if fold_of(each) == fold:
@@ -176,7 +182,8 @@ def _one_fold(
 def fit_first(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms) -> Stored:
     """Fit a first round, and return what the data file holds of it."""
     model = boosted(Lesson.joined(lessons), asked.first, options.first_trees, options.first_leaves)
-    return stored(model, asked.first)
+    stages = {"quick": options.quick_trees, "doubtful": options.doubtful}
+    return stages | stored(model, asked.first)
 
 
 def fit_seconds(training: Training, options: FitOptions, workers: int) -> list[Stored]:
@@ -195,16 +202,20 @@ def fit_seconds(training: Training, options: FitOptions, workers: int) -> list[S
 def averaged(models: Sequence[Stored]) -> Stored:
     """Return the model whose odds are the geometric mean of those of others.
 
-    Each of them has not seen some kinds of scenes: where they differ, it is less sure.
+    Each of them has not seen some kinds of scenes: where they differ, it is less sure. The quick
+    trees of all come first.
     """
 
     def shared(node: list[Any]) -> list[Any]:
         return [*node[:-1], round(node[-1] / len(models), 6)]
 
-    return {
-        "terms": models[0]["terms"],
+    quick = models[0].get("quick", 0)
+    stages = [slice(None, quick), slice(quick, None)]
+    trees = [tree for stage in stages for model in models for tree in model["trees"][stage]]
+    return models[0] | {
+        **({"quick": quick * len(models)} if quick else {}),
         "baseline": sum(model["baseline"] for model in models) / len(models),
-        "trees": [[shared(node) for node in tree] for model in models for tree in model["trees"]],
+        "trees": [[shared(node) for node in tree] for tree in trees],
     }
 
 
@@ -216,7 +227,7 @@ def fit_second(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms
     return stored(model, asked.second)
 
 
-def first_odds(forest: Forest, each: TrainingMap) -> NDArray[np.float32]:
+def first_odds(forest: StagedForest, each: TrainingMap) -> NDArray[np.float32]:
     """Return what a first round makes of a map."""
     begins = range(0, len(each.terms), _BATCH)
     own = slice(0, len(forest.terms))

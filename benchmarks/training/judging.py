@@ -17,7 +17,7 @@ from benchmarks.training.fitting import (
     second_terms,
 )
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
-from dynahull.evidence.forest import Forest
+from dynahull.evidence.forest import Forest, StagedForest
 
 _EDGES = np.array([0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 _STEPS = 200
@@ -186,7 +186,7 @@ def ablation(training: Training, workers: int) -> Iterator[str]:
         for fold in range(len(FOLDS))
     ]
     present = [
-        (Forest.of(stored), Lesson.joined(of_fold).every(_ABLATED_EACH))
+        (StagedForest.of(stored), Lesson.joined(of_fold).every(_ABLATED_EACH))
         for stored, of_fold in zip(training.first, lessons, strict=True)
         if of_fold
     ]
@@ -204,7 +204,7 @@ def ablation(training: Training, workers: int) -> Iterator[str]:
         yield f"{name:<18}" + "".join(f"{each:>11.1f}" for each in earned) + f"{mean:>8.1f}"
 
 
-def _f1(forest: Forest, lesson: Lesson, terms: NDArray[np.float32], workers: int) -> float:
+def _f1(forest: StagedForest, lesson: Lesson, terms: NDArray[np.float32], workers: int) -> float:
     removed = forest.log_odds(terms, workers) > 0
     weights = lesson.weights
     hit = weights[removed & lesson.moved].sum()

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from dynahull.compilation import compiled
 from dynahull.errors import InvalidParametersError
-from dynahull.evidence.forest import Forest
+from dynahull.evidence.forest import Forest, StagedForest
 from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, cells_of, find_cell
 from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.reasons import NO_REASON, reasons
@@ -173,11 +173,12 @@ class EvidenceModel:
 
     Attributes
     ----------
-    first, second : Forest
+    first : StagedForest
+    second : Forest
         Over the terms of `MAP_ONLY` or of `TIMED`.
     """
 
-    first: Forest
+    first: StagedForest
     second: Forest
 
     @property
@@ -194,7 +195,7 @@ class EvidenceModel:
         InvalidParametersError
             When it asks for terms that there are not.
         """
-        first, second = Forest.of(stored["first"]), Forest.of(stored["second"])
+        first, second = StagedForest.of(stored["first"]), Forest.of(stored["second"])
         model = cls(first, second)
         if model.asked not in MODELS.values():
             raise InvalidParametersError(

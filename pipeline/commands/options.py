@@ -33,7 +33,7 @@ ConfigurationSource = Annotated[
         "-c",
         "--config",
         metavar="CONFIG.yaml",
-        help="Configuration file, or one of: paper (default), auto, indoor, outdoor, slurm.",
+        help="Configuration file, or one of: auto (default), paper, indoor, outdoor, slurm.",
     ),
 ]
 Settings = Annotated[
@@ -65,7 +65,7 @@ Confidence = Annotated[
     typer.Option(
         "--confidence",
         metavar="SHARE",
-        help="Remove what moved with at least this probability, above 0 and below 1; of -c auto "
+        help="Remove what moved with at least this probability, above 0 and below 1; of auto "
         "(removal.confidence).",
     ),
 ]

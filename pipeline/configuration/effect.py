@@ -8,7 +8,7 @@ from pipeline.errors import ConfigurationError
 _IDLE = {
     "paper": (
         ("removal.confidence",),
-        "give removal.min_percent and removal.max_percent, or run with -c auto",
+        "give removal.min_percent and removal.max_percent alone, or removal.decision=auto as well",
     ),
     "auto": (
         ("removal.min_percent", "removal.max_percent", "removal.threshold"),

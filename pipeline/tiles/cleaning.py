@@ -89,7 +89,8 @@ def clean_tiles(
     if job.configuration.removal.weighs_evidence:
         draw_range_images(job)
         reports = do_stage(job, executor, observer, "evidence", tiles)
-        wide, scored = np.sum([report.counts for _, report in reports], axis=0)
+        counted = [report.counts for _, report in reports]  # none, where no point takes part
+        wide, scored = np.reshape(counted, (-1, 2)).sum(axis=0)
         job.remove_spent("spread")
         warn_of_sparse_map(int(wide), int(scored), observer)
     else:
@@ -296,8 +297,7 @@ def _rescaled(
     k = job.configuration.neighbours.k
     percentages = removal_percentages(present, removal.min_percent, removal.max_percent, k)
     if job.configuration.clustering.scope == "tile":
-        if present:
-            save_cuts(job, present, None)
+        save_cuts(job, present, None)
         return percentages, None
     tiles = [KeptScores(job, tile) for tile in range(len(job.store.layout))]
     if removal.weighs_evidence:

@@ -64,7 +64,7 @@ def test_thirty_writes_that_fail_leave_results_whole_or_absent(tmp_path, monkeyp
         "execution.cluster=none",
         "output.report=none",
     ]
-    configuration = load_configuration(None, settings)
+    configuration = load_configuration("paper", settings)
 
     def cleaned(fault):
         with attack.Calls(fault) as calls:

@@ -19,12 +19,14 @@ from benchmarks.training.fitting import (
 )
 from benchmarks.training.judging import Judged, ablation, figures, judge, reliability
 from benchmarks.training.maps import MOVED, STATIC, UNKNOWN, TrainingMap
-from dynahull.evidence.forest import Forest
+from dynahull.evidence.forest import Forest, StagedForest
 from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
 from dynahull.evidence.terms import FALLING, RISING, SEEN_TERMS, TERMS, TIMED_TERMS
 
 DENSITY = TERMS.index("density_1.2")
-SMALL = FitOptions(points=600, first_trees=10, first_leaves=6, second_trees=8, second_leaves=5)
+SMALL = FitOptions(
+    points=600, first_trees=10, first_leaves=6, quick_trees=3, second_trees=8, second_leaves=5
+)
 
 
 def a_map(number, kind, count=2_000):
@@ -111,6 +113,12 @@ def test_the_mean_of_models_has_the_mean_of_their_log_odds():
     odds = [Forest.of(model).log_odds(terms) for model in models]
     found = Forest.of(averaged(models)).log_odds(terms)
     assert np.allclose(found, np.mean(odds, axis=0), atol=1e-3)
+    stages = [model | {"quick": 5, "doubtful": -1.0} for model in models]
+    quick = [Forest.of(model | {"trees": model["trees"][:5]}).log_odds(terms) for model in models]
+    together = StagedForest.of(averaged(stages))
+    assert np.allclose(together.quick.log_odds(terms), np.mean(quick, axis=0), atol=1e-3)
+    rest = together.rest.log_odds(terms) + together.quick.log_odds(terms)
+    assert np.allclose(rest, np.mean(odds, axis=0), atol=1e-3)
 
 
 def test_figures_are_counted_over_all_points():

@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 import dynahull
 from dynahull import Label, MethodParameters, clean
 from dynahull.errors import InvalidParametersError, InvalidPointsError
+from dynahull.parameters import RemovalParameters
 from dynahull.reference import nearest_neighbours
 from tests.listener import Listener
 
@@ -31,7 +32,7 @@ def room(size=1500, seed=0):
 @pytest.mark.parametrize("device", DEVICES)
 def test_every_step_follows_its_formula(device):
     points = room()
-    result = clean(points, ground=NO_GROUND, density={"device": device})
+    result = clean(points, "paper", ground=NO_GROUND, density={"device": device})
     counts = np.bincount(result.cluster)
     assert counts.sum() == len(points)
     assert len(counts) == 5
@@ -67,7 +68,7 @@ def test_the_ghost_goes_and_the_walls_stay():
 def test_counts_add_up_and_kept_is_everything_but_dynamic():
     points = room(300)
     points[::17] = np.nan
-    result = clean(points, ground=NO_GROUND)
+    result = clean(points, "paper", ground=NO_GROUND)
     assert sum(result.counts().values()) == len(points)
     assert result.counts()["dynamic"] == (~result.kept).sum() > 0
     assert result.removal_percentages.shape == (len(result.clusters),)
@@ -184,7 +185,7 @@ def test_the_result_is_the_same_every_time_and_with_any_number_of_threads(seed, 
 def test_the_compiled_kernels_give_what_the_plain_version_gives():
     points = np.round(room(900), 3)
     plain, fast = (
-        clean(points, ground=NO_GROUND, density={"device": device}) for device in DEVICES
+        clean(points, "paper", ground=NO_GROUND, density={"device": device}) for device in DEVICES
     )
     np.testing.assert_array_equal(plain.cluster, fast.cluster)
     np.testing.assert_allclose(fast.density, plain.density, rtol=1e-9)
@@ -199,7 +200,7 @@ def test_the_compiled_kernels_give_what_the_plain_version_gives():
 def test_an_observer_hears_of_every_stage_and_every_point():
     listener = Listener()
     points = room(100)
-    clean(points, ground=NO_GROUND, observer=listener)
+    clean(points, "paper", ground=NO_GROUND, observer=listener)
     assert list(listener.stages) == ["ground", "clustering", "density"]
     assert listener.done == listener.stages["density"] == len(points)
 
@@ -224,6 +225,25 @@ def test_parameters_may_be_given_whole_or_by_section():
         clean(points, {"ground": NO_GROUND, "neighbours": {"k": 20}}).density, whole.density
     )
     assert not np.array_equal(whole.density, mixed.density)
+
+
+@pytest.mark.parametrize(
+    ("given", "removal", "decision"),
+    [
+        (None, {}, "auto"),
+        (None, {"max_percent": 8}, "paper"),
+        ("paper", {"confidence": 0.7}, "paper"),
+        ("indoor", {"protect_classes": (6,)}, "paper"),
+        ("auto", {"max_percent": 8}, "auto"),
+        (MethodParameters(), {"max_percent": 8}, "auto"),
+        ({"removal": {"decision": "paper"}}, {"confidence": 0.7}, "paper"),
+        ({"removal": RemovalParameters(decision="paper")}, {"confidence": 0.7}, "paper"),
+    ],
+)
+def test_keys_of_a_section_leave_its_others_as_they_were(given, removal, decision):
+    chosen = MethodParameters.chosen(given, {"removal": removal})
+    assert chosen.removal.decision == decision
+    assert removal.items() <= chosen.removal.model_dump().items()
 
 
 @pytest.mark.parametrize("classes", [[2] * 3, [2.0] * 5, [[2] * 5], [300] * 5, [-1] * 5])

@@ -14,7 +14,7 @@ import dynahull
 from dynahull import Label, clean
 from dynahull.density import reference_spreads
 from dynahull.errors import InvalidParametersError
-from dynahull.evidence.forest import Forest
+from dynahull.evidence.forest import Forest, StagedForest
 from dynahull.evidence.lattice import Voxels, cells_of
 from dynahull.evidence.model import (
     MODELS,
@@ -223,6 +223,8 @@ def test_the_model_keeps_to_what_physics_says(names, sign, name):
     """What is less flat is never less likely a ghost; what is denser or higher never more."""
     first = evidence_model(name).first
     terms = np.random.default_rng(0).normal(size=(300, len(first.terms))).astype(np.float32)
+    middle = float(np.median(first.quick.log_odds(terms)))
+    first = replace(first, doubtful=middle)  # so that many points are, and many are not
     for term in set(names) & set(first.terms):
         low, high = terms.copy(), terms.copy()
         low[:, first.terms.index(term)], high[:, first.terms.index(term)] = -2.0, 2.0
@@ -293,6 +295,7 @@ def walked(stored, terms):
 def test_the_odds_are_those_of_trees_that_are_walked(seed, which):
     """At the limits themselves, beside them, and where a term is missing."""
     stored, random = stored_model()[which], np.random.default_rng(seed)
+    stored["trees"] = stored["trees"][random.integers(8) :: 8]
     limits = {name: [0.0] for name in stored["terms"]}
     for tree in stored["trees"]:
         for node in tree[:-1]:
@@ -322,6 +325,49 @@ def test_contributions_and_baseline_add_up_to_the_odds():
     assert np.allclose(expected + shares, forest.log_odds(terms), atol=1e-3)
 
 
+def test_most_trees_are_asked_about_doubtful_points_only():
+    stored = {
+        "terms": ["a"],
+        "baseline": -1.0,
+        "trees": [
+            [["a", 0.0, 2, "left", 0.0], [-3.0], [2.0]],
+            [["a", 1.0, 2, "left", 0.0], [-9.0], [2.0]],
+        ],
+        "quick": 1,
+        "doubtful": -2.0,
+    }
+    terms = np.array([[-1.0], [0.5], [2.0]], np.float32)
+    forest = StagedForest.of(stored)
+    # The first is not doubtful. The second is, and stays so, less likely than that as it is.
+    assert forest.log_odds(terms).tolist() == [-4.0, -2.0, 3.0]
+    assert StagedForest.of(stored | {"doubtful": -4.5}).log_odds(terms).tolist() == [
+        -4.5,
+        -4.5,
+        3.0,
+    ]
+    assert forest.contributions(terms, np.zeros(1, np.int32), 1).tolist() == [
+        [-12.0],
+        [-7.0],
+        [4.0],
+    ]
+    for missing in ("quick", "doubtful"):
+        with pytest.raises(InvalidParametersError, match="expected stages"):
+            StagedForest.of({name: stored[name] for name in stored if name != missing})
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-6, 2))
+@settings(deadline=None, max_examples=25)
+def test_stages_give_the_odds_of_their_forests(seed, doubtful):
+    stored = stored_model()["first"] | {"doubtful": doubtful, "quick": 15}
+    stored["trees"] = stored["trees"][::20]
+    terms = np.random.default_rng(seed).normal(size=(200, len(TERMS))).astype(np.float32)
+    quick = Forest.of(stored | {"trees": stored["trees"][: stored["quick"]]}).log_odds(terms)
+    whole = Forest.of(stored).log_odds(terms)
+    bound = np.float32(doubtful)
+    expected = np.where(quick > bound, np.maximum(whole, bound), quick)
+    np.testing.assert_allclose(StagedForest.of(stored).log_odds(terms), expected, atol=1e-5)
+
+
 def test_every_term_has_its_reason():
     assert len({_reason_of(term) for term in TIMED_TERMS}) == len(REASONS)
 
@@ -344,8 +390,9 @@ def test_trees_that_are_not_whole_are_refused(trees):
 
 
 def test_a_model_of_other_terms_is_refused():
+    staged = STORED | {"quick": 1, "doubtful": -2.0}
     with pytest.raises(InvalidParametersError, match="expected the terms of this version"):
-        EvidenceModel.of({"first": STORED, "second": STORED})
+        EvidenceModel.of({"first": staged, "second": STORED})
 
 
 def test_threads_change_nothing_about_a_score():
@@ -378,7 +425,7 @@ def test_the_more_confidence_is_asked_for_the_fewer_points_go():
 
 def test_the_paper_weighs_no_evidence():
     points, _ = scene(500, 9)
-    result = clean(points.xyz, ground={"method": "none"}, neighbours={"k": K})
+    result = clean(points.xyz, "paper", ground={"method": "none"}, neighbours={"k": K})
     assert np.isnan(result.score).all()
     assert (result.reason == NO_REASON).all()
     assert summarise_points(points).sums[:, SCORED].sum() == len(points)

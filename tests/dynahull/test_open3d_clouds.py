@@ -8,7 +8,11 @@ import pytest
 
 from dynahull import DynaHull, InvalidPointsError, clean
 
-PARAMETERS = {"ground": {"method": "none"}, "neighbours": {"k": 20}}
+PARAMETERS = {
+    "ground": {"method": "none"},
+    "neighbours": {"k": 20},
+    "removal": {"decision": "paper"},
+}
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from tests.listener import Listener
 
 def said_of_clusters(counts, **removal):
     listener = Listener()
+    removal = {"decision": "paper", **removal}
     parameters = MethodParameters.of({"clustering": {"count": len(counts)}, "removal": removal})
     warn_of_clusters(counts, parameters, listener)
     return listener.warnings

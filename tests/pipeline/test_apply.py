@@ -33,10 +33,10 @@ FAST = [
     "ground.slope.expert.storey_radius=0.5",
 ]  # fmt: skip
 WAYS = {
-    "paper": [],
+    "paper": ["removal.decision=paper"],
     "stepped": ["removal.threshold=stepped"],
     "auto": ["removal.decision=auto"],
-    "by tile": ["clustering.scope=tile"],
+    "by tile": ["removal.decision=paper", "clustering.scope=tile"],
 }
 OTHER = {
     "paper": ["removal.min_percent=1", "removal.max_percent=35"],
@@ -201,7 +201,7 @@ def test_of_a_place_that_is_put_back_all_others_stay_removed(hooks, tmp_path, wa
 
 
 def test_only_places_of_the_report_are_put_back(map_file, tmp_path):
-    cleaned(map_file, tmp_path / "out")
+    cleaned(map_file, tmp_path / "out", *WAYS["paper"])
     with pytest.raises(
         ConfigurationError, match="--restore 9999: expected the number of a place in the report"
     ):
@@ -209,7 +209,7 @@ def test_only_places_of_the_report_are_put_back(map_file, tmp_path):
 
 
 def test_what_cannot_be_applied_is_refused_in_one_line(map_file, tmp_path):
-    cleaned(map_file, tmp_path / "out")
+    cleaned(map_file, tmp_path / "out", *WAYS["paper"])
     for wanted, message in [
         (["neighbours.k=20"], "neighbours: expected settings of removal, output, execution alone"),
         (["removal.decision=auto"], "run again with -c auto"),

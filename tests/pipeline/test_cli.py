@@ -102,8 +102,9 @@ def test_workers_say_nothing_of_themselves_and_leave_no_folders(map_file, tmp_pa
     # The names of sockets that lie in it must not be long.
     with tempfile.TemporaryDirectory() as temporary:
         done = call(
-            "run", map_file, "--set", "tiling.max_points=300", "--set", "execution.workers=2",
-            "--set", "ground.method=none", cwd=tmp_path, env=os.environ | {"TMPDIR": temporary},
+            "run", map_file, "-c", "paper", "--set", "tiling.max_points=300",
+            "--set", "execution.workers=2", "--set", "ground.method=none",
+            cwd=tmp_path, env=os.environ | {"TMPDIR": temporary},
         )  # fmt: skip
         left = {path.name for path in Path(temporary).iterdir()}
         assert left == {"dask-scratch-space"}
@@ -236,10 +237,35 @@ def test_the_key_that_is_missing_beside_another_is_named(map_file, call_here):
     ],
 )
 def test_a_setting_that_nothing_looks_at_is_refused(words, map_file, call_here):
-    done = call_here(*words, map_file)
+    done = call_here(*words, "-c", "paper", map_file)
     assert done.returncode == 2
     assert done.stderr.startswith("error: removal.confidence has no effect")
-    assert "run with -c auto" in done.stderr
+    assert "or removal.decision=auto as well" in done.stderr
+
+
+@pytest.mark.parametrize("words", [("-c", "auto"), ("--set", "removal.decision=auto")])
+@pytest.mark.parametrize("setting", ["min_percent=1", "max_percent=8", "threshold=stepped"])
+def test_so_is_a_share_where_the_evidence_decides(words, setting, map_file, call_here):
+    done = call_here("run", *words, "--set", f"removal.{setting}", map_file)
+    assert done.returncode == 2
+    key = setting.partition("=")[0]
+    assert done.stderr.startswith(f"error: removal.{key} has no effect where removal.decision is ")
+    assert "give removal.confidence, or removal.decision=paper as well" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "decision"),
+    [
+        ((), "auto"),
+        (("--confidence", "0.7"), "auto"),
+        (("--set", "removal.max_percent=8"), "paper"),
+    ],
+)
+def test_what_is_given_says_how_it_is_decided(words, decision, map_file, call_here, tmp_path):
+    done = call_here("run", map_file, *words, "-o", "out")
+    assert done.returncode == 0, done.stderr
+    kept = load_configuration(str(tmp_path / "out/config.yaml"))
+    assert kept.removal.decision == decision
 
 
 @pytest.mark.parametrize("command", ["run", "submit", "preview"])

@@ -22,12 +22,29 @@ def write(folder, text):
     return str(path)
 
 
-def test_the_defaults_are_the_paper_s():
+def test_the_defaults_are_the_paper_s_but_for_the_decision():
     configuration = load_configuration(None)
     assert configuration.neighbours.k == 75
     assert configuration.clustering.count == 5
     assert (configuration.removal.min_percent, configuration.removal.max_percent) == (5, 20)
-    assert load_configuration("paper").method() == configuration.method()
+    assert load_configuration("auto") == configuration
+    assert load_configuration("paper") == load_configuration(None, ["removal.decision=paper"])
+
+
+@pytest.mark.parametrize(
+    ("settings", "decision"),
+    [
+        ([], "auto"),
+        (["removal.confidence=0.7"], "auto"),
+        (["neighbours.k=50"], "auto"),
+        (["removal.max_percent=8"], "paper"),
+        (["removal.min_percent=3"], "paper"),
+        (["removal.threshold=stepped"], "paper"),
+        (["removal.max_percent=8", "removal.decision=auto"], "auto"),
+    ],
+)
+def test_a_key_of_equation_1_asks_for_the_paper_s_decision(settings, decision):
+    assert load_configuration(None, settings).removal.decision == decision
 
 
 def test_the_ready_configurations_come_with_the_package():
@@ -144,7 +161,7 @@ output:      {mode: split, labels: auto, keep_work: false}
 
 
 def test_all_sections_and_keys_of_the_design_are_known(tmp_path):
-    assert load_configuration(write(tmp_path, DESIGN)) == load_configuration(None)
+    assert load_configuration(write(tmp_path, DESIGN)) == load_configuration("paper")
 
 
 def test_a_section_without_keys_has_its_defaults(tmp_path):

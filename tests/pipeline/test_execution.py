@@ -326,5 +326,5 @@ def test_workers_elsewhere_are_given_a_folder_that_does_not_depend_on_where_they
 
 
 def cleaned(folder, name, *wanted):
-    configuration = load_configuration(None, wanted)
+    configuration = load_configuration("paper", wanted)
     return run([folder / "map.npy"], folder / name, configuration, StageObserver(LogDisplay()))

@@ -70,7 +70,7 @@ KINDS = {
 
 
 def cleaned(files, folder, *wanted):
-    configuration = load_configuration(None, [*SETTINGS, *wanted])
+    configuration = load_configuration("paper", [*SETTINGS, *wanted])
     return run(files, folder, configuration, StageObserver(LogDisplay()))
 
 

@@ -64,7 +64,7 @@ def test_densities_are_counted_over_tiles(tmp_path, groups, monkeypatch):
     monkeypatch.setattr("dynahull.warn._FEWEST_SCORED", 1_000)
     source = las_map(tmp_path / "map.las", 200, groups)
     one, many = (
-        warnings_of(source, tmp_path / folder, tiles)
+        warnings_of(source, tmp_path / folder, "removal.decision=paper", tiles)
         for folder, tiles in (("one", ONE_TILE), ("many", TILES))
     )
     assert one == many

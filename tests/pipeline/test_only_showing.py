@@ -38,6 +38,7 @@ def test_a_run_without_its_report_is_whole(tmp_path, monkeypatch, settings, plac
         monkeypatch.setattr(Views, "of", broken)
     else:
         monkeypatch.setattr(run_module, "render_page", broken)
+    settings = [*settings, "removal.decision=paper"]
     report = clean(given, tmp_path / "out", *settings)
     stored = json.loads((tmp_path / "out/run.json").read_text())
     assert "report.html" not in stored["outputs"]
@@ -52,10 +53,12 @@ def test_a_run_without_its_report_is_whole(tmp_path, monkeypatch, settings, plac
 
 @pytest.mark.parametrize("settings", [FAST, TILED[:-2]])
 @pytest.mark.parametrize("scale", [1e104, 1e102, 1e-100])
-def test_densities_that_underflow_are_drawn(tmp_path, settings, scale):
+@pytest.mark.parametrize("decision", ["paper", "auto"])
+def test_densities_that_underflow_are_drawn(tmp_path, settings, scale, decision):
     """k neighbours in more than 1e308 cubic metres have a density of zero."""
     points = np.random.default_rng(0).normal(size=(400, 3)) * scale
     np.save(tmp_path / "map.npy", points)
+    settings = [*settings, f"removal.decision={decision}"]
     report = clean(tmp_path / "map.npy", tmp_path / "out", *settings)
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert "could not be made" not in str(report.warnings)

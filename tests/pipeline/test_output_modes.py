@@ -38,7 +38,7 @@ ONE_TILE, TILES = "tiling.max_points=1000000", "tiling.max_points=900"
 
 
 def cleaned(maps, folder, *wanted):
-    configuration = load_configuration(None, [*FAST, *wanted])
+    configuration = load_configuration("paper", [*FAST, *wanted])
     return run(maps, folder, configuration, StageObserver(LogDisplay()))
 
 

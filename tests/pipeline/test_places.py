@@ -255,7 +255,8 @@ def test_places_by_density_are_those_of_tiles_too(seed, cuts):
 
 @pytest.mark.parametrize("max_points", [1_000_000, 4_000])
 def test_the_paper_says_where(tmp_path, max_points):
-    report = cleaned(street(900), tmp_path, f"tiling.max_points={max_points}")
+    settings = ["removal.decision=paper", f"tiling.max_points={max_points}"]
+    report = cleaned(street(900), tmp_path, *settings)
     assert report.places
     assert report.uncertain_points is None
     listed = sum(place.points for place in report.places)

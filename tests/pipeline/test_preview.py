@@ -24,7 +24,7 @@ def hall(count=6_000):
 
 
 def previewed(maps, folder, **wanted):
-    configuration = load_configuration(None, [*FAST, *wanted.pop("settings", [])])
+    configuration = load_configuration("paper", [*FAST, *wanted.pop("settings", [])])
     wanted.setdefault("points", 1_000)
     return preview([str(each) for each in maps], folder, configuration, observer(), **wanted)
 

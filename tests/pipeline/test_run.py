@@ -57,12 +57,12 @@ def contents(folder):
 
 
 def test_static_and_dynamic_are_the_input_with_every_field_in_order(map_file, tmp_path):
-    report = cleaned([map_file], tmp_path / "out")
+    report = cleaned([map_file], tmp_path / "out", config="paper")
     whole = np.load(map_file)
     static, dynamic = (np.load(tmp_path / "out" / f"{name}.npy") for name in ("static", "dynamic"))
     result = clean(
         np.column_stack([whole[axis] for axis in "xyz"]),
-        load_configuration(None, FAST).method(),
+        load_configuration("paper", FAST).method(),
     )
     assert 0 < len(dynamic) == report.counts["dynamic"]
     assert static.tobytes() == whole[result.kept].tobytes()
@@ -71,7 +71,7 @@ def test_static_and_dynamic_are_the_input_with_every_field_in_order(map_file, tm
 
 
 def test_the_report_says_what_was_done(map_file, tmp_path):
-    cleaned([map_file], tmp_path / "out", "output.labels=true")
+    cleaned([map_file], tmp_path / "out", "output.labels=true", config="paper")
     report = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert report["points"] == sum(report["counts"].values()) == len(np.load(map_file))
     assert set(report["counts"]) == {label.title for label in Label}
@@ -95,11 +95,11 @@ def test_the_report_says_what_was_done(map_file, tmp_path):
 
 
 def test_labels_have_one_row_a_point_in_input_order(map_file, tmp_path):
-    cleaned([map_file], tmp_path / "out", "output.labels=true")
+    cleaned([map_file], tmp_path / "out", "output.labels=true", config="paper")
     labels = pq.read_table(tmp_path / "out" / "labels.parquet")
     points = open_map(map_file)
     xyz = np.concatenate([batch.xyz for batch in points.batches()])
-    result = clean(xyz, load_configuration(None, FAST).method())
+    result = clean(xyz, load_configuration("paper", FAST).method())
     assert labels.column_names == ["label", "cluster", "density", "score", "reason"]
     assert labels["label"].to_pylist() == [Label(label).title for label in result.labels]
     np.testing.assert_array_equal(labels["cluster"].to_numpy(), result.cluster)
@@ -197,7 +197,7 @@ def points_as_stored(path):
 @pytest.mark.parametrize("name", ["corridor.pcd", "lobby_a.pcd", "lobby_b.pcd"])
 def test_real_maps_lose_nothing(name, shared_data: Path, tmp_path):
     source = shared_data / "maps" / name
-    report = cleaned([source], tmp_path / "out", "output.labels=true")
+    report = cleaned([source], tmp_path / "out", "output.labels=true", config="paper")
     labels = pq.read_table(tmp_path / "out" / "labels.parquet")["label"].to_numpy()
     static, dynamic, whole = (
         points_as_stored(path)

@@ -210,7 +210,7 @@ def test_nothing_is_looked_for_where_the_evidence_is_not_weighed(tmp_path, monke
     path = write(tmp_path / "a.npy", scan=SCAN)
     monkeypatch.setattr("pipeline.in_memory.find_scans", None)
     wanted = ["ground.method=none", "neighbours.k=8", "output.report=none"]
-    configuration = load_configuration(None, wanted)
+    configuration = load_configuration("paper", wanted)
     assert run([path], tmp_path / "o", configuration, StageObserver(LogDisplay())).time is None
 
 

@@ -82,7 +82,7 @@ def test_a_run_writes_it_with_all_fields_in_memory_and_over_tiles(tmp_path, fiel
     ]
     bytes_of = []
     for tiles in ([], ["tiling.max_points=1500"]):
-        configuration = load_configuration(None, [*settings, *tiles])
+        configuration = load_configuration("paper", [*settings, *tiles])
         report = run(
             [tmp_path / "map.las"], tmp_path / "out", configuration, StageObserver(Display())
         )

@@ -29,8 +29,8 @@ class Map:
 @pytest.mark.parametrize(
     ("points", "settings", "one_tile"),
     [
-        (5_000_000, ["execution.memory=4GiB"], True),
-        (5_000_000, ["execution.memory=1GiB"], False),
+        (5_000_000, ["execution.memory=4GiB", "removal.decision=paper"], True),
+        (5_000_000, ["execution.memory=1GiB", "removal.decision=paper"], False),
         (5_000_000, ["execution.memory=4GiB", "removal.decision=auto"], False),
         (60_000_000, ["execution.memory=100GiB"], False),
         (5_000_000, ["execution.memory=4GiB", "execution.scheduler=tcp://a:1"], False),

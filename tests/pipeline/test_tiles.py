@@ -23,7 +23,13 @@ from pipeline.units import open_collection
 from tiling.collection import MapCollection
 from tiling.errors import GridError
 
-FAST = ["neighbours.k=8", "clustering.count=3", "execution.cluster=none", "output.labels=true"]
+FAST = [
+    "neighbours.k=8",
+    "clustering.count=3",
+    "execution.cluster=none",
+    "output.labels=true",
+    "removal.decision=paper",
+]
 SMALL_GROUND = [
     "ground.slope.window=0.3",
     "ground.slope.expert.extension=0.3",
@@ -357,9 +363,11 @@ def test_the_report_of_a_tiled_map_is_that_of_the_map_in_memory(room_file, tmp_p
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "many" / name).read_bytes()
 
 
-def test_a_map_without_a_finite_point_passes_through(tmp_path):
+@pytest.mark.parametrize("decision", ["paper", "auto"])
+def test_a_map_without_a_finite_point_passes_through(tmp_path, decision):
     np.save(tmp_path / "nothing.npy", np.full((9, 3), np.nan))
-    report, table, chunks = tiled([tmp_path / "nothing.npy"], tmp_path / "out", 3)
+    wanted = f"removal.decision={decision}"
+    report, table, chunks = tiled([tmp_path / "nothing.npy"], tmp_path / "out", 3, wanted)
     assert chunks == []
     assert report.counts["invalid"] == 9
     assert table["label"].to_pylist() == ["invalid"] * 9
@@ -439,11 +447,12 @@ class TestOneModelATile:
         assert sum(report.counts.values()) == report.points
 
 
-@pytest.fixture(scope="module")
-def corridor_in_memory(shared_data, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("corridor")
-    cleaned([shared_data / "maps/corridor.pcd"], folder, "neighbours.k=20")
-    return folder
+@pytest.fixture(scope="module", params=["paper", "auto"])
+def corridor_in_memory(request, shared_data, tmp_path_factory):
+    """How it was decided, and the output folder."""
+    folder, decision = tmp_path_factory.mktemp("corridor"), f"removal.decision={request.param}"
+    cleaned([shared_data / "maps/corridor.pcd"], folder, "neighbours.k=20", decision)
+    return decision, folder
 
 
 @pytest.mark.parametrize(
@@ -454,14 +463,14 @@ def corridor_in_memory(shared_data, tmp_path_factory):
 def test_a_real_map_has_the_same_bytes(
     tiles, halo, workers, corridor_in_memory, shared_data, tmp_path
 ):
+    decision, in_one = corridor_in_memory
     source = shared_data / "maps/corridor.pcd"
     count = MapCollection([source]).point_count
-    _, _, chunks = tiled(
-        [source], tmp_path, 2 * count // tiles, f"tiling.halo={halo}", "neighbours.k=20", *workers
-    )
+    wanted = [f"tiling.halo={halo}", "neighbours.k=20", decision, *workers]
+    _, _, chunks = tiled([source], tmp_path, 2 * count // tiles, *wanted)
     assert tiles / 2 <= len(chunks) <= 2 * tiles
     for name in ("static.pcd", "dynamic.pcd", "labels.parquet"):
-        assert (tmp_path / name).read_bytes() == (corridor_in_memory / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (in_one / name).read_bytes()
     report = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
-    whole = json.loads((corridor_in_memory / "run.json").read_text(encoding="utf-8"))
+    whole = json.loads((in_one / "run.json").read_text(encoding="utf-8"))
     assert report["clusters"] == whole["clusters"]

@@ -172,7 +172,7 @@ class TestPlan:
     ):
         before = sorted(tmp_path.iterdir())
         output = [] if command == "plan" else ["-o", "out"]
-        wanted = [*SMALL, setting, "execution.memory=64MiB"]
+        wanted = [*SMALL, setting, "removal.decision=paper", "execution.memory=64MiB"]
         code, _, errors = call(command, map_file, *output, wanted=wanted)
         assert code == 1
         assert len(errors) == 1
@@ -220,7 +220,7 @@ class TestTile:
         plain, labelled, table = (
             figures(call("plan", map_file, wanted=[*SMALL, "output.labels=false", *each])[1])
             for each in (
-                [f"output.{added}", "output.report=none"]
+                [f"output.{added}", "output.report=none", "removal.decision=paper"]
                 for added in ("mode=split", "mode=label", "labels=true")
             )
         )

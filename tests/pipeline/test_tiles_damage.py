@@ -18,6 +18,7 @@ from pipeline.tiles import stages
 from pipeline.work.folder import WORK_FOLDER
 
 SETTINGS = [
+    "removal.decision=paper",
     "neighbours.k=8",
     "clustering.count=2",
     "tiling.max_points=200",

@@ -35,6 +35,7 @@ COMMAND = [
     "run",
 ]
 SETTINGS = [
+    "removal.decision=paper",
     "neighbours.k=8",
     "clustering.count=3",
     "ground.method=none",

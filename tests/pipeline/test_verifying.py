@@ -27,7 +27,7 @@ POINTS = np.random.default_rng(3).uniform(size=(800, 3)) * [9, 7, 2]
 
 
 def cleaned(map_file, folder, *wanted):
-    configuration = load_configuration(None, [*SETTINGS, *wanted])
+    configuration = load_configuration("paper", [*SETTINGS, *wanted])
     run([map_file], folder, configuration, StageObserver(LogDisplay()))
     return folder
 
@@ -50,6 +50,25 @@ def results(tmp_path_factory):
     cleaned(folder / "named.npy", folder / "unasked", "output.mode=label")
     cleaned(folder / "named.npy", folder / "both", "output.mode=label", *auto)
     return folder
+
+
+@pytest.mark.parametrize("boxes", [0, 2])
+@pytest.mark.parametrize("decision", ["paper", "auto"])
+def test_tiles_without_a_cluster_of_their_own_are_no_gap(decision, boxes, tmp_path):
+    """With a model a tile, a tile of ground alone has none."""
+    random = np.random.default_rng(5)
+    parts = [random.uniform(size=(3000, 3)) * [30, 10, 0.004]]
+    parts += [random.uniform([27 * n, 4, 0.6], [27 * n + 2, 6, 2], (300, 3)) for n in range(boxes)]
+    np.save(tmp_path / "map.npy", np.concatenate(parts))
+    wanted = ["tiling.max_points=900", "execution.cluster=none", f"removal.decision={decision}"]
+    wanted += ["clustering.scope=tile", "ground.method=slope", "output.labels=true"]
+    folder = cleaned(tmp_path / "map.npy", tmp_path / "out", *wanted)
+    clusters = pq.read_table(folder / "labels.parquet")["cluster"].to_numpy()
+    found = np.unique(clusters[clusters >= 0])
+    assert len(found) == 3 * boxes
+    if boxes:
+        assert found.tolist() != list(range(len(found)))
+    assert verify(folder)
 
 
 NAMES = ["plain", "labels", "stepped", "auto", "label", "unasked", "both"]

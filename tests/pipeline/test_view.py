@@ -42,7 +42,7 @@ def result(folder, *wanted, suffix=".npy", files=1):
             )
             name.write_text(text + "".join(f"{x} {y} {z}\n" for x, y, z in part.tolist()))
     settings = ["ground.method=none", "neighbours.k=20", "clustering.count=1"]
-    configuration = load_configuration(None, [*settings, "output.report=none", *wanted])
+    configuration = load_configuration("paper", [*settings, "output.report=none", *wanted])
     run(names, folder / "out", configuration, StageObserver(LogDisplay()))
     return folder / "out"
 

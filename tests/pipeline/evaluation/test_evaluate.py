@@ -166,7 +166,7 @@ def test_without_the_original_only_distances(scene):
 
 def test_the_folder_of_a_run_is_a_cleaned_map(scene):
     settings = ["ground.method=none", "neighbours.k=20", "clustering.count=1", "output.labels=true"]
-    configuration = load_configuration(None, settings)
+    configuration = load_configuration("paper", settings)
     original = scene / "labelled.laz"
     report = run([original], scene / "out", configuration, StageObserver(LogDisplay()))
     found, _ = figures_of(scene / "out", scene / "static.npy")
@@ -185,7 +185,7 @@ def test_a_labelled_map_is_evaluated_as_the_static_one_is(scene):
     settings = ["ground.method=none", "neighbours.k=20", "clustering.count=1"]
     found = {}
     for mode in ("split", "label"):
-        configuration = load_configuration(None, [*settings, f"output.mode={mode}"])
+        configuration = load_configuration("paper", [*settings, f"output.mode={mode}"])
         run([scene / "labelled.laz"], scene / mode, configuration, StageObserver(LogDisplay()))
         found[mode], _ = figures_of(scene / mode, scene / "static.npy")
     for name in ("confusion", "accuracy", "preservation"):

@@ -48,6 +48,7 @@ def write_timed_street(folder):
     return folder / "timed.npz", f"input.poses={folder / 'poses.txt'}"
 
 
+PAPER = ["removal.decision=paper"]
 BY_EVIDENCE = ["removal.decision=auto", "removal.confidence=0.8"]
 
 
@@ -69,8 +70,8 @@ def cleaned(tmp_path_factory):
     outputs["hall"] = Path(run(files, folder / "hall", configuration, observer).output)
     plain, (timed, poses) = folder / NASTY_NAME, write_timed_street(folder)
     for name, path, tile, more in (
-        ("whole", plain, 1_000_000, []),
-        ("tiled", plain, 5_000, []),
+        ("whole", plain, 1_000_000, PAPER),
+        ("tiled", plain, 5_000, PAPER),
         ("judged", plain, 1_000_000, BY_EVIDENCE),
         ("judged tiled", plain, 12_000, BY_EVIDENCE),
         ("timed", timed, 1_000_000, BY_EVIDENCE),

@@ -278,9 +278,10 @@ def test_without_a_report_there_is_none(cleaned, tmp_path):
 
 
 @pytest.mark.parametrize("points", [0, 1, 3, 40])
-def test_maps_of_next_to_nothing_have_a_page(tmp_path, points):
+@pytest.mark.parametrize(("decision", "shares"), [("paper", 1_001), ("auto", 101)])
+def test_maps_of_next_to_nothing_have_a_page(tmp_path, points, decision, shares):
     np.save(tmp_path / "map.npy", np.random.default_rng(0).normal(size=(points, 3)))
-    run([tmp_path / "map.npy"], tmp_path / "out", load_configuration(None), observer())
+    run([tmp_path / "map.npy"], tmp_path / "out", load_configuration(decision), observer())
     page = page_of(tmp_path / "out")
     assert facts(page)["total"] == points
-    assert len(facts(page)["removed_points"]) == 1_001
+    assert len(facts(page)["removed_points"]) == shares
