@@ -207,15 +207,6 @@ class StagedForest:
         found[rows] = np.maximum(both, np.float32(self.doubtful))
         return found
 
-    def contributions(
-        self, evidence: npt.NDArray[np.float32], groups: npt.NDArray[np.int32], count: int
-    ) -> npt.NDArray[np.float32]:
-        """Return what each group of terms adds, all trees asked: see `Forest.contributions`."""
-        quick, rest = (
-            forest.contributions(evidence, groups, count) for forest in (self.quick, self.rest)
-        )
-        return quick + rest
-
 
 class _Tree:
     """The questions and leaves of a tree, from its nodes in depth-first order."""

@@ -222,7 +222,7 @@ class EvidenceModel:
             own = slice(begin, end)
             terms = evidence(points.part(own), k, surroundings)
             log_odds = self.first.log_odds(terms)
-            why = reasons(self.first, terms, log_odds)
+            why = reasons(self.first.quick, terms, log_odds)  # all trees seldom say other
             found.put(own, FirstRound(log_odds, terms[:, kept], why))
 
         over_ranges(judge, _bounds(len(points)), threads)

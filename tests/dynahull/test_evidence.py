@@ -345,11 +345,6 @@ def test_most_trees_are_asked_about_doubtful_points_only():
         -4.5,
         3.0,
     ]
-    assert forest.contributions(terms, np.zeros(1, np.int32), 1).tolist() == [
-        [-12.0],
-        [-7.0],
-        [4.0],
-    ]
     for missing in ("quick", "doubtful"):
         with pytest.raises(InvalidParametersError, match="expected stages"):
             StagedForest.of({name: stored[name] for name in stored if name != missing})
