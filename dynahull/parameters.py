@@ -198,7 +198,7 @@ class MethodParameters(BaseModel, extra="forbid", frozen=True):
         if isinstance(given, MethodParameters):
             if not sections:
                 return given
-            given = given.model_dump()
+            given = {name: getattr(given, name) for name in MethodParameters.model_fields}
         if given is not None and not isinstance(given, Mapping):
             raise InvalidParametersError(
                 "parameters: expected MethodParameters, a dictionary of sections, or the name of "
