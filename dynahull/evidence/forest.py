@@ -8,6 +8,7 @@ all points of the block go left, so they do at those that follow.
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -130,6 +131,34 @@ class Forest:
         add_up = partial(_add_up, evidence, self.questions, self.value, self.baseline, found)
         over_items(add_up, len(evidence), threads, _SMALLEST_RANGE)
         return found
+
+    def ranks(self, last: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+        """Return how many of the limits that the trees ask about each value is beyond, (n, C).
+
+        It takes fewer bytes than the value, and `of_ranks` makes of it what all questions answer as
+        they do the value.
+
+        Parameters
+        ----------
+        last : (n, C) float32 array
+            Values of the last C terms.
+        """
+        ranks = np.empty(last.shape, np.uint16)
+        for limits, values, found in zip(self._limits(last.shape[1]), last.T, ranks.T, strict=True):
+            found[:] = np.where(np.isnan(values), len(limits) + 1, np.searchsorted(limits, values))
+        return ranks
+
+    def of_ranks(self, ranks: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+        """Return values of the last terms that have such ranks, (n, C)."""
+        values = np.empty(ranks.shape, np.float32)
+        for limits, own, found in zip(self._limits(ranks.shape[1]), ranks.T, values.T, strict=True):
+            found[:] = np.append(limits, np.array([np.inf, np.nan], np.float32))[own]
+        return values
+
+    def _limits(self, count: int) -> list[npt.NDArray[np.float32]]:
+        """Return what the trees ask about each of the last terms, ascending."""
+        begins = self.questions.begins[-count - 1 :]
+        return [np.unique(self.questions.limit[a:b]) for a, b in pairwise(begins)]
 
     def contributions(
         self, evidence: npt.NDArray[np.float32], groups: npt.NDArray[np.int32], count: int

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from dynahull.compilation import compiled
+from dynahull.compilation import compiled, inlined
 from dynahull.evidence.lattice import Cells, Floats, Integers
 from dynahull.kernels.spread import principal_axes
 
@@ -14,7 +14,7 @@ MOMENTS = 9
 """Columns: the sums of x, y, z, xx, xy, xz, yy, yz, zz, in steps from the origin.
 
 They wrap around at 64 bits, and so do the differences taken of them; what is left, about the middle
-of a box, is small and exact.
+of a voxel or box, is small and exact.
 """
 
 FEWEST = 5
@@ -42,6 +42,45 @@ def moments_of(points: Floats) -> Integers:
 
 
 @compiled
+def moved_moments(
+    cells: Cells, sums: Integers, count: int, first: int, side: float, way: int
+) -> Integers:
+    """Return sums over voxels, their moments taken from the middles of these instead of the origin.
+
+    They are small there, and take few bytes.
+
+    Parameters
+    ----------
+    cells, sums, count, first, side
+        As of `shapes_of`.
+    way : int
+        1, or -1 to go back to the origin.
+    """
+    moved = sums.copy()
+    steps = np.int64(np.rint(side / 0.001))
+    for v in range(len(cells)):
+        moments = sums[v, first : first + 9]
+        _move(moved[v, first : first + 9], moments, sums[v, count], cells[v], steps, way)
+    return moved
+
+
+@inlined
+def _move(about: Integers, moments: Integers, n: int, cell: Cells, steps: int, way: int) -> None:
+    """Take moments of n points from the middle of a voxel; its side is given in steps."""
+    x = way * (np.int64(cell[0]) * steps + steps // 2)
+    y = way * (np.int64(cell[1]) * steps + steps // 2)
+    z = way * (np.int64(cell[2]) * steps + steps // 2)
+    sx, sy, sz = moments[0], moments[1], moments[2]
+    about[0], about[1], about[2] = sx - n * x, sy - n * y, sz - n * z
+    about[3] = moments[3] - 2 * x * sx + n * x * x
+    about[4] = moments[4] - x * sy - y * sx + n * x * y
+    about[5] = moments[5] - x * sz - z * sx + n * x * z
+    about[6] = moments[6] - 2 * y * sy + n * y * y
+    about[7] = moments[7] - y * sz - z * sy + n * y * z
+    about[8] = moments[8] - 2 * z * sz + n * z * z
+
+
+@compiled
 def shapes_of(
     cells: Cells, around: Integers, count: int, first: int, side: float
 ) -> npt.NDArray[np.float32]:
@@ -57,21 +96,14 @@ def shapes_of(
     """
     shapes = np.full((len(cells), 4), np.nan, np.float32)
     steps = np.int64(np.rint(side / 0.001))
+    about = np.empty(9, np.int64)
     for v in range(len(cells)):
         n = around[v, count]
         if n < FEWEST:
             continue
-        x = np.int64(cells[v, 0]) * steps + steps // 2
-        y = np.int64(cells[v, 1]) * steps + steps // 2
-        z = np.int64(cells[v, 2]) * steps + steps // 2
-        sx, sy, sz = around[v, first], around[v, first + 1], around[v, first + 2]
-        xx = around[v, first + 3] - 2 * x * sx + n * x * x
-        xy = around[v, first + 4] - x * sy - y * sx + n * x * y
-        xz = around[v, first + 5] - x * sz - z * sx + n * x * z
-        yy = around[v, first + 6] - 2 * y * sy + n * y * y
-        yz = around[v, first + 7] - y * sz - z * sy + n * y * z
-        zz = around[v, first + 8] - 2 * z * sz + n * z * z
-        mx, my, mz = (sx - n * x) / n, (sy - n * y) / n, (sz - n * z) / n
+        _move(about, around[v, first : first + 9], n, cells[v], steps, 1)
+        xx, xy, xz, yy, yz, zz = about[3], about[4], about[5], about[6], about[7], about[8]
+        mx, my, mz = about[0] / n, about[1] / n, about[2] / n
         least, middle, most, normal = principal_axes(
             xx / n - mx * mx,
             xy / n - mx * my,

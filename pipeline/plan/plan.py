@@ -37,7 +37,7 @@ _PIECE_BYTES = 32
 _CHUNK_BYTES = {"parquet": 24, "las": 40, "laz": 40}
 """The same in chunks, at most."""
 
-_COLUMN_BYTES, _LABEL_BYTES = 26, 18
+_COLUMN_BYTES, _LABEL_BYTES = 8, 14
 """A point of the map in what tasks keep of it once the pieces are gone, at most: columns; later,
 when these are gone too, densities and labels."""
 
@@ -45,12 +45,13 @@ _FREE_BYTES, _FREE_BYTES_OF_LAZ = 33, 20
 """Beside the columns, a ground-free point, at most; coordinates of LAZ compress."""
 
 _SCORE_BYTES = 40
-"""More, where scores are written."""
+"""More, where scores are written; what evidence is weighed by is mostly gone by then."""
 
-_EVIDENCE_BYTES = 245
-"""More, where evidence is weighed, at most: spread, terms that are kept, voxels."""
+_EVIDENCE_BYTES = 50
+"""More, where evidence is weighed, at most: spread, terms that are kept, voxels; of all maps that we
+have, a campus takes most: 47."""
 
-_SCAN_BYTES = 95
+_SCAN_BYTES = 20
 """More, where scans are known, at most: their numbers, returns, marks, and further terms."""
 
 _SAMPLE_BYTES, _SAMPLED = 80, 300_000
@@ -170,9 +171,9 @@ def make_plan(
     core, all_held = int(layout.counts.sum()), int(held.sum())
     weighs = configuration.removal.weighs_evidence
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
-    later = _LABEL_BYTES + (_EVIDENCE_BYTES if weighs else 0)
-    later += _SCORE_BYTES if configuration.output.needs_scores else 0
-    later = core * later + min(core, _SAMPLED) * _SAMPLE_BYTES
+    weighed = _EVIDENCE_BYTES if weighs else 0
+    written = _SCORE_BYTES if configuration.output.needs_scores else 0
+    later = core * (_LABEL_BYTES + max(weighed, written)) + min(core, _SAMPLED) * _SAMPLE_BYTES
     images = 0
     if viewpoints is not None:
         later, images = later + core * _SCAN_BYTES + viewpoints * IMAGE_BYTES, HELD_BYTES

@@ -177,7 +177,7 @@ def cut_rows(job: Job, number: int) -> TaskReport:
     """Sort one range of rows by tile into a piece."""
     rows = job.cut_ranges[number]
     points, runs = sort_by_tile(job.store, PointsTakingPart(job), rows)
-    job.work.save("cut", number, points=points, runs=runs)
+    job.work.save("cut", number, {"points": points}, runs=runs)
     return TaskReport(len(rows), (len(points),))
 
 

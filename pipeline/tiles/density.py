@@ -12,7 +12,12 @@ from dynahull.clustering import Clusters, fit_clusters
 from dynahull.density import SPREAD_COLUMNS
 from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.range_images import Returns
-from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
+from dynahull.evidence.summaries import (
+    ScoredPoints,
+    about_middles,
+    summarise_ground,
+    summarise_points,
+)
 from dynahull.labels import Label
 from dynahull.warn import density_levels
 from pipeline.tiles.borders import CoreDensities, Region, core_densities
@@ -55,22 +60,21 @@ def score_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         unknown, scans = np.full(len(density), np.nan), job.scans_of(free.rows[core])
         points = ScoredPoints(free.xyz[core], density, scores.spread, unknown, scans)
         voxels.append(summarise_points(points))
-        summed = Voxels.merged(voxels).to_arrays(VOXELS)
+        summed = about_middles(Voxels.merged(voxels)).to_arrays(VOXELS)
         job.work.make("spread")
         job.work.save("spread", tile, spread=points.spread, **summed, **returns)
-    order = np.argsort(cluster, kind="stable")
+    counts = np.bincount(cluster, minlength=len(clusters.centroids)).tolist()
     job.work.save(
         "density",
         tile,
-        order=order.astype(np.uint32),
-        grouped=density[order],
-        starts=np.searchsorted(cluster[order], np.arange(len(clusters.centroids) + 1)),
+        {"grouped": density[_by_cluster(cluster)]},
+        cluster=cluster,
+        starts=np.cumsum([0, *counts]),
         levels=density_levels(density),
         centroids=clusters.centroids,
     )
-    counts = np.bincount(cluster, minlength=len(clusters.centroids))
     elsewhere = scores.finished_elsewhere
-    return TaskReport(int(job.store.layout.counts[tile]), (elsewhere, *counts.tolist()))
+    return TaskReport(int(job.store.layout.counts[tile]), (elsewhere, *counts))
 
 
 def _core_scores(
@@ -164,11 +168,15 @@ def first_cluster(job: Job, tile: int) -> int:
 
 def scores_of(job: Job, tile: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Return cluster and density of a tile's ground-free core points, in the order of rows."""
-    order, grouped, starts = job.work.load("density", tile, "order", "grouped", "starts")
-    cluster, density = np.empty(len(order), np.int32), np.empty(len(order))
-    cluster[order] = np.repeat(np.arange(len(starts) - 1, dtype=np.int32), np.diff(starts))
-    density[order] = grouped
+    cluster, grouped = job.work.load("density", tile, "cluster", "grouped")
+    density = np.empty(len(cluster))
+    density[_by_cluster(cluster)] = grouped
     return cluster, density
+
+
+def _by_cluster(cluster: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Return the order of points by their cluster, and in it by their row."""
+    return np.argsort(cluster, kind="stable")
 
 
 class KeptScores:
@@ -188,8 +196,8 @@ class KeptScores:
         tied = np.flatnonzero(self.densities(cluster) == density)
         if not len(tied):
             return np.zeros(0, np.int64)
-        order = self._job.work.map("density", self._tile, "order")
-        own = order[self._starts[cluster] + tied]
+        (clusters,) = self._job.work.load("density", self._tile, "cluster")
+        own = np.flatnonzero(clusters == cluster)[tied]
         return np.asarray(own_rows(self._job, self._tile)[own])
 
     @cached_property

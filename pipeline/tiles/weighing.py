@@ -4,6 +4,8 @@ A tile reduces its points to voxels once, and reads those of the tiles around: s
 `dynahull.evidence.summaries`. Points of other tiles are never looked at.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,14 @@ from dynahull.evidence.model import (
     model_file,
 )
 from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Returns, Views
-from dynahull.evidence.summaries import REACH, ScoredPoints, TimedVoxels, around, summarise_odds
+from dynahull.evidence.summaries import (
+    REACH,
+    ScoredPoints,
+    TimedVoxels,
+    about_middles,
+    around,
+    summarise_odds,
+)
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.borders import Region
@@ -29,7 +38,7 @@ from pipeline.work.job import IMAGING, Job
 from tiling.ledger import note_file, noting
 
 _ODDS = "odds"
-_FIRST = ("log_odds", "kept", "reason")
+_FIRST = ("log_odds", "reason", "ranks")
 
 
 def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
@@ -49,11 +58,12 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     for box in divided(everywhere, xyz, sides):
         own = box.holds(xyz)
         voxels = _around(job, tile, box, "spread", VOXELS, kind)
-        surroundings = Surroundings.of(voxels, scan_views(job))
+        surroundings = Surroundings.of(about_middles(voxels, -1), scan_views(job))
         del voxels
         found.put(own, model.first_round(points.part(own), k, surroundings))
-    kept = {name: getattr(found, name) for name in _FIRST}
     odds = summarise_odds(xyz, found.log_odds)
+    first = (found.log_odds, found.reason, model.second.ranks(found.kept))
+    kept: dict[str, NDArray[Any]] = dict(zip(_FIRST, first, strict=True))
     job.work.save("evidence", tile, **kept, **odds.to_arrays(_ODDS))
     counts = (wide_neighbourhoods(spread), len(points))
     return TaskReport(int(job.store.layout.counts[tile]), counts)
@@ -63,11 +73,13 @@ def judge_tile(job: Job, tile: int) -> Judged:
     """Judge the scored points of a tile's core once more, all tiles being weighed."""
     xyz = own_points(job, tile).xyz
     _, density = scores_of(job, tile)
-    found = FirstRound(*job.work.load("evidence", tile, *_FIRST))
+    model = _model(job)
+    log_odds, reason, ranks = job.work.load("evidence", tile, *_FIRST)
+    found = FirstRound(log_odds, model.second.of_ranks(ranks), reason)
     layout = job.store.layout
     core = Region(layout.low[tile], layout.high[tile])
     odds = _around(job, tile, core, "evidence", _ODDS, Voxels)
-    return Judged(final_scores(_model(job), xyz, density, found, odds), found.reason)
+    return Judged(final_scores(model, xyz, density, found, odds), found.reason)
 
 
 def draw_range_images(job: Job) -> None:

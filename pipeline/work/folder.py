@@ -9,10 +9,11 @@ names all that the task wrote as well, each with a checksum: see `pipeline.work.
 import os
 import shutil
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from numpy.typing import NDArray
@@ -129,17 +130,24 @@ class WorkFolder:
         values = {"key": self.key, "report": asdict(report), "written": named}
         write_sealed(path, values)
 
-    def save(self, stage: str, task: int, **arrays: NDArray[Any]) -> None:
-        """Keep the arrays of a task."""
+    def save(
+        self,
+        stage: str,
+        task: int,
+        to_map: Mapping[str, NDArray[Any]] = MappingProxyType({}),
+        /,
+        **arrays: NDArray[Any],
+    ) -> None:
+        """Keep the arrays of a task, compressed but for those that `map` is to return."""
         with atomic_file(self.path(stage, task, ARRAYS)) as temporary:
-            write_arrays(temporary, arrays)
+            write_arrays(temporary, arrays, to_map)
 
     def load(self, stage: str, task: int, *names: str) -> list[NDArray[Any]]:
         """Return arrays of a finished task."""
         return read_arrays(self.path(stage, task, ARRAYS), *names)
 
     def map(self, stage: str, task: int, name: str) -> NDArray[Any]:
-        """Return an array of a finished task, of which only what is looked at is read."""
+        """Return an array that was kept to map: only what is looked at is read."""
         return map_array(self.path(stage, task, ARRAYS), name)
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from dynahull.evidence.summaries import (
     SCORED,
     ScoredPoints,
     TimedVoxels,
+    about_middles,
     around,
     summarise_ground,
     summarise_odds,
@@ -176,6 +178,23 @@ def test_the_shape_of_a_box_is_that_of_its_covariance(offset):
         assert shape[3] == pytest.approx(abs(axes[2, 0]), abs=1e-3)
 
 
+@given(
+    arrays.arrays(np.float64, (40, 3), elements=st.one_of(st.floats(-9, 9), st.floats())),
+    st.sampled_from([0.0, 5_401_234.25, -3e8]),
+)
+@settings(deadline=None)
+def test_moments_about_the_middles_of_voxels_are_small_and_go_back(points, offset):
+    points = np.nan_to_num(points) + offset
+    unknown = np.full((len(points), 5), np.nan, np.float32)
+    scored = ScoredPoints(points, np.ones(len(points)), unknown, unknown[:, 0])
+    voxels = summarise_points(scored)
+    moved = about_middles(voxels)
+    assert as_dictionary(about_middles(moved, -1)) == as_dictionary(voxels)
+    near = (np.abs(voxels.cells) < 2**29).all(axis=1)
+    assert (np.abs(moved.sums[near, 4:7]) <= 51 * moved.sums[near, SCORED, None]).all()
+    assert (np.abs(moved.sums[near, 7:13]) <= 51**2 * moved.sums[near, SCORED, None]).all()
+
+
 def test_the_compiled_spread_is_that_of_the_plain_version():
     points, _ = scene(300, 2)
     plain = reference_spreads(points.xyz, np.arange(len(points)), K)
@@ -306,6 +325,30 @@ def test_the_odds_are_those_of_trees_that_are_walked(seed, which):
     terms[random.random(terms.shape) < 0.05] = np.nan
     found = Forest.of(stored).log_odds(np.ascontiguousarray(terms))
     assert found.tolist() == [walked(stored, row) for row in terms]
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(sorted(MODELS)),
+    st.sampled_from([np.nan, np.inf, -np.inf, 0.0]),
+)
+@settings(deadline=None, max_examples=25)
+def test_ranks_of_terms_answer_all_questions_as_the_terms_do(seed, name, odd):
+    model, random = evidence_model(name), np.random.default_rng(seed)
+    questions = model.second.questions
+    terms = np.array(
+        [
+            random.choice(np.append(questions.limit[begin:end], np.float32(0.5)), 60)
+            for begin, end in pairwise(questions.begins)
+        ],
+        np.float32,
+    ).T
+    terms += random.choice(np.array([-1e-3, 0, 0, 1e-3], np.float32), terms.shape)
+    terms[random.random(terms.shape) < 0.1] = odd
+    kept = len(model.asked.kept)
+    ranks = model.second.ranks(terms[:, -kept:])
+    told = np.column_stack([terms[:, :-kept], model.second.of_ranks(ranks)])
+    assert model.second.log_odds(told).tolist() == model.second.log_odds(terms.copy()).tolist()
 
 
 def test_contributions_are_what_each_question_changes():

@@ -22,10 +22,11 @@ KINDS = scalar_dtypes().filter(lambda kind: kind.kind not in "Mm")
         max_size=4,
     ),
     random=st.randoms(use_true_random=False),
+    compress=st.booleans(),
 )
-def test_arrays_come_back_in_any_order(tmp_path_factory, written, random):
+def test_arrays_come_back_in_any_order(tmp_path_factory, written, random, compress):
     path = tmp_path_factory.mktemp("arrays") / "task.arrays"
-    write_arrays(path, written)
+    write_arrays(path, *([written] if compress else [{}, written]))
     names = random.sample(sorted(written), len(written))
     for name, found in zip(names, read_arrays(path, *names), strict=True):
         assert (found.dtype, found.shape) == (written[name].dtype, written[name].shape)
@@ -41,6 +42,32 @@ def test_an_array_that_is_no_run_of_memory_comes_back(tmp_path):
     found, turned = read_arrays(tmp_path / "task.arrays", "strided", "turned")
     np.testing.assert_array_equal(found, strided)
     np.testing.assert_array_equal(turned, strided.T)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_what_repeats_is_compressed_and_comes_back_writable(tmp_path, order):
+    path = tmp_path / "task.arrays"
+    table = np.asarray(np.arange(30_000).reshape(-1, 3) // 300, order=order)
+    write_arrays(path, {"table": table})
+    assert path.stat().st_size < table.nbytes / 5
+    for found in (*read_arrays(path, "table"), map_array(path, "table")):
+        np.testing.assert_array_equal(found, table)
+        assert found.flags.writeable and found.flags.c_contiguous
+
+
+def test_what_is_not_compressed_is_mapped(tmp_path):
+    path = tmp_path / "task.arrays"
+    write_arrays(path, {"ones": np.ones(9)}, {"zeros": np.zeros(1000)})
+    assert isinstance(map_array(path, "zeros").base, np.memmap)
+
+
+def test_damage_within_what_is_compressed_is_named(tmp_path):
+    path = tmp_path / "task.arrays"
+    write_arrays(path, {"rows": np.arange(5000)})
+    data = path.read_bytes()
+    path.write_bytes(data[:-200] + bytes(200))
+    with pytest.raises(WorkError, match=r"task\.arrays: expected arrays, found a damaged file"):
+        read_arrays(path, "rows")
 
 
 @pytest.mark.parametrize(
@@ -75,6 +102,9 @@ def test_an_array_that_was_not_kept_is_named(tmp_path):
         [["rows", None, [4], 0]],
         [["rows"]],
         {"rows": 1},
+        {"rows": -1},
+        {"rows": "8"},
+        ["rows"],
         7,
     ],
     ids=str,

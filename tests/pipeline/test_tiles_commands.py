@@ -241,7 +241,7 @@ class TestTile:
         tables = [pq.read_table(path) for path in paths]
         assert tables[0].column_names == ["x", "y", "z", "row", "core"]
         # They are to be kept: small rather than soon written.
-        assert pq.read_metadata(paths[0]).row_group(0).column(0).compression == "LZ4"
+        assert pq.read_metadata(paths[0]).row_group(0).column(0).compression == "ZSTD"
         xyz = [np.column_stack([table[axis].to_numpy() for axis in "xyz"]) for table in tables]
         rows, core = ([table[name].to_numpy() for table in tables] for name in ("row", "core"))
         self.check_cores(xyz, rows, core, np.load(map_file))
