@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.parameters import POINTS_OF_A_BLOCK, RINGS, SimulationParameters
-from pipeline.simulation.points import Points
+from pipeline.simulation.points import Floats, Points
 from pipeline.simulation.scene import Scene
 from pipeline.simulation.simulate import Drive, SimulatedScan, Stream
 
@@ -42,12 +42,12 @@ class SimulatedMap:
     parameters: SimulationParameters
     xyz: NDArray[np.float32]
     intensity: NDArray[np.float32]
-    time: NDArray[np.float64]
+    time: Floats
     scan: NDArray[np.uint32]
     moving: NDArray[np.uint8]
     surface: NDArray[np.uint8]
-    true_poses: NDArray[np.float64]
-    estimated_poses: NDArray[np.float64]
+    true_poses: Floats
+    estimated_poses: Floats
 
 
 def simulate(parameters: SimulationParameters) -> SimulatedMap:
@@ -102,7 +102,7 @@ def block_shares(points: int) -> list[int]:
     return [points // blocks + (block < points % blocks) for block in range(blocks)]
 
 
-def block_place(block: int, blocks: int, scene: Scene) -> NDArray[np.float64]:
+def block_place(block: int, blocks: int, scene: Scene) -> Floats:
     """Return where a block lies: in rows that go back and forth, in a square about as a whole."""
     length, width = (side + scene.gap for side in scene.size)
     in_a_row = max(1, round(np.sqrt(blocks * width / length)))

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import Scene, Shapes, Surface
 
 HEIGHT = 3.0
@@ -283,7 +283,7 @@ class Furnisher:
         return True
 
 
-def _ways_of(scene: Scene, rounds: bool) -> list[tuple[NDArray[np.float64], float]]:
+def _ways_of(scene: Scene, rounds: bool) -> list[tuple[Floats, float]]:
     """Return the corners of all ways of a scene, and the room that each needs to either side."""
     routes = [(scene.robot_route, ROBOT_MARGIN)]
     if rounds:
@@ -298,7 +298,7 @@ def _ways_of(scene: Scene, rounds: bool) -> list[tuple[NDArray[np.float64], floa
     return ways
 
 
-def _points_along(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _points_along(corners: Floats) -> Floats:
     """Return points along a way of (m, 2 or 3) corners, `_STEP` apart, (n, 2)."""
     pieces = [
         np.linspace(here, there, 1 + int(np.hypot(*(there - here)) / _STEP), endpoint=False)

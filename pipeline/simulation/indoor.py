@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import door, glass_wall, passage, window
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
@@ -199,7 +199,7 @@ def _walkways(plan: _Plan) -> Walkways:
     return Walkways.along(places, lines)
 
 
-def _robot_route(plan: _Plan) -> NDArray[np.float64]:
+def _robot_route(plan: _Plan) -> Floats:
     """Return the route: about the hall, the corridor end to end, and into two rooms."""
     south, north = 1.8, plan.hall_north - 1.9
     west, east = 2.2, plan.hall_east - 1.6

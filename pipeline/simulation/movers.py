@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation.motion import CLEARANCE, Trajectory, drive, keep_clear
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import MachineKind, Scene, Shapes, Surface, Walkways
 
 WALKING_SPEED = (0.9, 1.6)
@@ -37,29 +37,20 @@ class Mover:
 
 
 class Movers:
-    """All p that move in a scene.
+    """All p that move in a scene, people on foot first.
 
-    Attributes
-    ----------
-    everyone : tuple of p Mover
-        People on foot first.
-    shapes : Shapes
-        Those of all, one mover after the other.
-    starts : (p + 1, 2) int64 array
-        Numbers of each mover's first box and first cylinder in `shapes`; the end last.
-    reach : (p,) float64 array
-        Greatest distance of a mover's shapes from its axis, in metres.
+    `shapes`, `starts` and `reach` are as `first_moving_hits` takes them.
     """
 
     def __init__(self, everyone: Sequence[Mover]) -> None:
         self.everyone = tuple(sorted(everyone, key=lambda mover: not mover.on_foot))
         parts = [mover.shapes for mover in self.everyone]
         counts = [(len(part.boxes), len(part.cylinders)) for part in parts]
-        self.shapes = Shapes.joined(parts)
+        self.shapes = Shapes.joined([Shapes.of(), *parts])
         self.starts = np.cumsum([(0, 0), *counts], axis=0)
         self.reach = np.array([part.reach() for part in parts])
 
-    def at(self, times: NDArray[np.float64], robot: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, times: Floats, robot: Floats) -> Floats:
         """Return the poses of all at n times, (n, p, 5).
 
         People keep out of the way of the machines and of the robot, whose poses, (n, 5), are given.
@@ -164,7 +155,7 @@ def _walk(walkways: Walkways, duration: float, random: np.random.Generator) -> T
     return _upright(times, positions)
 
 
-def _spot(walkways: Walkways, place: int, random: np.random.Generator) -> NDArray[np.float64]:
+def _spot(walkways: Walkways, place: int, random: np.random.Generator) -> Floats:
     """Return a point within the freedom of a place."""
     chosen = walkways.places[place]
     shift = random.uniform(-chosen.freedom, chosen.freedom, 2)
@@ -196,13 +187,13 @@ def _queue(
     return [_upright(t, p) for t, p in zip(times, positions, strict=True)]
 
 
-def _walking_times(start: float, stops: NDArray[np.float64]) -> list[float]:
+def _walking_times(start: float, stops: Floats) -> list[float]:
     """Return when each stop is reached at a walker's mean speed, the first at `start`."""
     lengths = np.hypot(*np.diff(stops[:, :2], axis=0).T)
     return [start, *(start + np.cumsum(lengths) / np.mean(WALKING_SPEED))]
 
 
-def _upright(times: list[float], positions: list[NDArray[np.float64]]) -> Trajectory:
+def _upright(times: list[float], positions: list[Floats]) -> Trajectory:
     """Return a trajectory of someone who is the same from all sides."""
     poses = np.zeros((len(positions), 5))
     poses[:, :3] = positions

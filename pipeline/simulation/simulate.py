@@ -12,7 +12,7 @@ from pipeline.simulation.indoor import indoor_scene
 from pipeline.simulation.motion import drift, drive, pose_matrix, rotations, to_map, to_sensor
 from pipeline.simulation.movers import populate
 from pipeline.simulation.parameters import RINGS, SimulationParameters
-from pipeline.simulation.points import Points
+from pipeline.simulation.points import Floats, Points
 from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
 from pipeline.simulation.scene import Scene, SceneKind
 from pipeline.simulation.street import street_scene
@@ -27,45 +27,28 @@ _REFLECTIVITY = np.array([25.0, 60.0, 75.0, 40.0, 30.0, 50.0, 55.0, 45.0])
 _REFLECTIVITY_SPREAD = 8.0
 
 
-@dataclass(frozen=True, slots=True)
-class Rotation:
-    """One turn of the sensor: c firings of all rings, n = 16 c rays in the order of firing.
-
-    Attributes
-    ----------
-    delay : (c,) float64 array
-        Time of each firing since the turn began, in seconds.
-    firings : (n,) int64 array
-        The firing each ray belongs to.
-    directions : (n, 3) float64 array
-        Unit vectors in the sensor's frame: x forward, y left, z up.
-    """
-
-    delay: NDArray[np.float64]
-    firings: NDArray[np.int64]
-    directions: NDArray[np.float64]
-
-
-def rotation(
-    parameters: SimulationParameters, columns: int, random: np.random.Generator
-) -> Rotation:
-    """Turn the sensor once; the azimuth of the first firing is random, as its motor is free."""
-    share = (np.arange(columns) + random.random()) / columns
-    azimuth = np.repeat(2 * np.pi * share, len(RING_ELEVATIONS))
-    elevation = np.tile(RING_ELEVATIONS, columns)
+def ray_directions(azimuth: Floats, elevation: Floats) -> Floats:
+    """Return unit vectors, (n, 3): x forward, y left, z up. Angles are in radians."""
     level = np.cos(elevation)
-    return Rotation(
-        delay=share / parameters.rotation_rate,
-        firings=np.repeat(np.arange(columns), len(RING_ELEVATIONS)),
-        directions=np.stack(
-            [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
-        ),
-    )
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
-def measured_ranges(
-    distance: NDArray[np.float64], noise: NDArray[np.float64], parameters: SimulationParameters
-) -> NDArray[np.float64]:
+def rotation(columns: int, random: np.random.Generator) -> tuple[Floats, Floats]:
+    """Turn the sensor once; the azimuth of the first firing is random, as its motor is free.
+
+    Returns
+    -------
+    share : (c,) float64 array
+        When each firing of all rings is, as a share of the turn.
+    directions : (16 c, 3) float64 array
+        Unit vectors in the sensor's frame, in the order of firing.
+    """
+    share = (np.arange(columns) + random.random()) / columns
+    azimuth = np.repeat(2 * np.pi * share, RINGS)
+    return share, ray_directions(azimuth, np.tile(RING_ELEVATIONS, columns))
+
+
+def measured_ranges(distance: Floats, noise: Floats, parameters: SimulationParameters) -> Floats:
     """Return true distances as the sensor reports them, NaN where it reports none; in metres.
 
     The noise is standard normal; what a ray never meets is infinitely far.
@@ -77,7 +60,7 @@ def measured_ranges(
     return np.where(within, ranges, np.nan)
 
 
-def intensities(surface: NDArray[np.uint8], noise: NDArray[np.float64]) -> NDArray[np.float32]:
+def intensities(surface: NDArray[np.uint8], noise: Floats) -> NDArray[np.float32]:
     """Return the calibrated reflectivity of each return, a whole number from 0 to 255."""
     spread = noise * _REFLECTIVITY_SPREAD
     return np.clip(np.round(_REFLECTIVITY[surface] + spread), 0, 255).astype(np.float32)
@@ -116,10 +99,10 @@ class SimulatedScan:
     start: float
     returns: Points
     static_returns: Points
-    true_pose: NDArray[np.float64]
-    estimated_pose: NDArray[np.float64]
+    true_pose: Floats
+    estimated_pose: Floats
 
-    def in_sensor_frame(self) -> NDArray[np.float64]:
+    def in_sensor_frame(self) -> Floats:
         """Return the points as the sensor saw them, (n, 3)."""
         return to_sensor(self.estimated_pose, self.returns.xyz)
 
@@ -130,7 +113,7 @@ class SimulatedScan:
         static_returns = self.static_returns.take(slice(int(seen)))
         return replace(self, returns=returns, static_returns=static_returns)
 
-    def moved(self, number: int, seconds: float, metres: NDArray[np.float64]) -> "SimulatedScan":
+    def moved(self, number: int, seconds: float, metres: Floats) -> "SimulatedScan":
         """Return the scan as one of a later number, later by `seconds`, elsewhere by `metres`."""
 
         def shifted(points: Points) -> Points:
@@ -220,25 +203,25 @@ class Drive:
             yield self._scan(number, columns, error, random)
 
     def _scan(
-        self, number: int, columns: int, error: NDArray[np.float64], random: np.random.Generator
+        self, number: int, columns: int, error: Floats, random: np.random.Generator
     ) -> SimulatedScan:
         """Turn the sensor once."""
         parameters = self.parameters
-        turn = rotation(parameters, columns, random)
-        range_noise = random.standard_normal(len(turn.firings))
-        intensity_noise = random.standard_normal(len(turn.firings))
+        share, directions = rotation(columns, random)
+        firings = np.repeat(np.arange(columns), RINGS)
+        range_noise, intensity_noise = random.standard_normal((2, len(firings)))
         start = number * parameters.scan_interval
-        times = start + turn.delay
+        times = start + share / parameters.rotation_rate
         robot = self.robot.at(np.append(times, start))
         up = np.array([0.0, 0.0, parameters.sensor_height])
         robot_turns = rotations(robot[:, 3], robot[:, 4])
         eyes = robot[:, :3] + robot_turns @ up
-        origins = eyes[turn.firings]
-        directions = np.einsum("nij,nj->ni", robot_turns[turn.firings], turn.directions)
+        origins = eyes[firings]
+        directions = np.einsum("nij,nj->ni", robot_turns[firings], directions)
         still = first_hits(self.scene.shapes, origins, directions)
         movers, frames = self.movers, self.movers.at(times, robot[:-1])
         moving = first_moving_hits(
-            movers.shapes, movers.starts, movers.reach, frames, turn.firings, origins, directions
+            movers.shapes, movers.starts, movers.reach, frames, firings, origins, directions
         )
         true_pose = pose_matrix(eyes[-1], robot[-1, 3], robot[-1, 4])
         estimated_pose = pose_matrix(eyes[-1] + error[:3], robot[-1, 3] + error[3], robot[-1, 4])
@@ -250,7 +233,7 @@ class Drive:
             return Points(
                 xyz=to_map(estimated_pose, to_sensor(true_pose, seen)),
                 intensity=intensities(hits.surface[returned], intensity_noise[returned]),
-                time=times[turn.firings[returned]],
+                time=times[firings[returned]],
                 surface=hits.surface[returned],
                 moving=ghost[returned],
                 known=np.ones(len(seen), np.bool_),

@@ -7,10 +7,10 @@ in metres; heights are above the road.
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation.construction import Builder, Span
 from pipeline.simulation.movers import car_shapes
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import MachineKind, Place, Scene, Surface, Walkways
 
 LENGTH, WIDTH = 120.0, 40.0
@@ -78,7 +78,7 @@ def _lanes() -> list[tuple[float, float, float]]:
     return there + [(x, _MIDDLE + _LANE, 0.0) for x in (east, middle, west)]
 
 
-def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> NDArray[np.float64]:
+def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> Floats:
     """Return corners given by x, y and the height above the road."""
     points = np.array(corners)
     points[:, 2] += slope * np.minimum(points[:, 0], LENGTH - points[:, 0])

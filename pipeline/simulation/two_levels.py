@@ -6,10 +6,10 @@ All lengths are in metres.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import glass_wall, passage, window
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
@@ -59,7 +59,7 @@ def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     return scene.mirrored(0) if random.random() < 0.5 else scene
 
 
-def _route_of_storeys() -> NDArray[np.float64]:
+def _route_of_storeys() -> Floats:
     """Return the route: about the lower hall, up the ramp, about the upper hall, and down."""
     lane, inside, north = _LANE / 2, _LANE + 2.5, WIDTH - 3.0
     west, east = 1.4, LENGTH - 1.4
@@ -194,7 +194,7 @@ def _over(y: float) -> list[tuple[float, float, float]]:
     return [(_FOOT, y, 0.0), (_EDGE, y, PLATFORM)]
 
 
-def _route_of_hall() -> NDArray[np.float64]:
+def _route_of_hall() -> Floats:
     """Return the route: past the queue, up the ramp, about the platform, down, and back."""
     lower = [(2.0, 3.0), (7.0, 3.0), (7.0, 8.6)]
     upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]

@@ -215,15 +215,16 @@ def test_rings_are_sixteen_two_degrees_apart(exact_map):
 
 
 def test_rotation_covers_the_circle_evenly_in_the_time_of_a_turn():
-    parameters = SimulationParameters(azimuth_step=2.0, rotation_rate=20.0)
-    turn = rotation(parameters, parameters.columns, np.random.default_rng(0))
-    assert turn.directions.shape == (180 * 16, 3)
-    assert np.linalg.norm(turn.directions, axis=1) == pytest.approx(1)
-    azimuth = np.unwrap(np.arctan2(turn.directions[::16, 1], turn.directions[::16, 0]))
-    assert np.degrees(np.diff(azimuth)) == pytest.approx(2.0)
-    assert turn.delay.min() >= 0
-    assert turn.delay.max() < 1 / 20
-    assert np.array_equal(turn.firings, np.repeat(np.arange(180), 16))
+    columns = SimulationParameters(azimuth_step=2.0).columns
+    share, directions = rotation(columns, np.random.default_rng(0))
+    assert directions.shape == (180 * 16, 3)
+    assert np.linalg.norm(directions, axis=1) == pytest.approx(1)
+    azimuth = np.unwrap(np.arctan2(directions[:, 1], directions[:, 0])).reshape(180, 16)
+    assert np.degrees(np.diff(azimuth, axis=0)) == pytest.approx(2.0)
+    assert np.ptp(azimuth, axis=1) == pytest.approx(0)
+    assert share.shape == (180,)
+    assert share.min() >= 0
+    assert share.max() < 1
 
 
 def test_range_noise_has_its_deviation_and_ranges_are_rounded():

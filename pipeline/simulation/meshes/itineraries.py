@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Guide, Walkways
+from pipeline.simulation.points import Floats
 
 STEP = 0.1
 """Time between two samples of a track, in seconds."""
@@ -24,7 +24,7 @@ class Stop:
     """
 
     node: int
-    place: NDArray[np.float64]
+    place: Floats
     wait: float
     yaw: float | None = None
     seat: float = 0.0
@@ -32,26 +32,14 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A mover over time, every `STEP`.
+    """A mover over time, every `STEP`."""
 
-    Attributes
-    ----------
-    place : (t, 3) float64 array
-    yaw : (t,) float64 array
-        Unwrapped.
-    gone : (t,) float64 array
-        Way gone so far, in metres.
-    pace : (t,) float64 array
-        In metres per second.
-    sitting, seat : (t,) float64 array
-    """
-
-    place: NDArray[np.float64]
-    yaw: NDArray[np.float64]
-    gone: NDArray[np.float64]
-    pace: NDArray[np.float64]
-    sitting: NDArray[np.float64]
-    seat: NDArray[np.float64]
+    place: Floats  # (t, 3)
+    yaw: Floats  # unwrapped
+    gone: Floats  # way gone so far, in metres
+    pace: Floats  # in metres per second
+    sitting: Floats  # 0 standing, 1 sitting
+    seat: Floats  # its height, in metres
 
     @property
     def travelled(self) -> float:
@@ -80,9 +68,9 @@ def follow(
         How far one who stands shifts about, in metres (deviation).
     """
     count = int(np.ceil(duration / STEP)) + 2
-    parts: list[NDArray[np.float64]] = []  # columns of place, yaw and seat
+    parts: list[Floats] = []  # columns of place, yaw and seat
 
-    def add(steps: NDArray[np.float64], yaw: float, seat: float) -> int:
+    def add(steps: Floats, yaw: float, seat: float) -> int:
         parts.append(np.column_stack([steps, np.full((len(steps), 2), [yaw, seat])]))
         return sum(map(len, parts))
 
@@ -104,29 +92,25 @@ def follow(
     return _track(table[:, :3], table[:, 3], table[:, 4], random, shift)
 
 
-def _paced(way: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
+def _paced(way: Floats, speed: float) -> Floats:
     """Return where one is along a way at each step of time."""
     along = way_along(way)
     steps = max(2, int(np.ceil(along[-1] / (speed * STEP))))
     return interpolated(np.linspace(0, along[-1], steps), along, way)
 
 
-def way_along(line: NDArray[np.float64]) -> NDArray[np.float64]:
+def way_along(line: Floats) -> Floats:
     """Return how far each corner of a line, (n, 3), is from its beginning, in metres."""
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
-def interpolated(
-    at: NDArray[np.float64], known: NDArray[np.float64], rows: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def interpolated(at: Floats, known: Floats, rows: Floats) -> Floats:
     """Return the rows of a table, (n, m), between those known at some numbers, (k,) and (k, m)."""
     return np.stack([np.interp(at, known, column) for column in rows.T], axis=1)
 
 
-def along_lane(
-    line: NDArray[np.float64], at: NDArray[np.float64], reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def along_lane(line: Floats, at: Floats, reach: float) -> tuple[Floats, Floats]:
     """Return places on a lane, (n, 3), and the headings of wheels there, unwrapped.
 
     The lane has corners, (m, 3); the places, (n,), are given by their way from its beginning. The
@@ -139,11 +123,7 @@ def along_lane(
 
 
 def _track(
-    place: NDArray[np.float64],
-    wanted: NDArray[np.float64],
-    seat: NDArray[np.float64],
-    random: np.random.Generator,
-    shift: float,
+    place: Floats, wanted: Floats, seat: Floats, random: np.random.Generator, shift: float
 ) -> Track:
     """Add headings, gait and the unrest of those who stand."""
     count = len(place)

@@ -20,6 +20,7 @@ from pipeline.simulation.meshes.raycasting import Target
 from pipeline.simulation.meshes.stage import Body, Lane, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.meshes.walkways import Walkways
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import Surface
 
 STANDS = 0.35
@@ -34,8 +35,8 @@ class Rigid:
     """Something rigid that moves: its mesh, and where it is every `STEP`."""
 
     mesh: Mesh
-    place: NDArray[np.float64]
-    yaw: NDArray[np.float64]
+    place: Floats
+    yaw: Floats
     surface: Surface
 
     @property
@@ -46,22 +47,13 @@ class Rigid:
 
 @dataclass(frozen=True, slots=True)
 class Movers:
-    """p people and r rigid things; numbers of movers count people first.
-
-    Attributes
-    ----------
-    tracks : tuple of Track
-        Of the people.
-    albedo : (p + r,) float32 array
-    changes_place : (p + r,) bool array
-        Whether it ever leaves the place where it began.
-    """
+    """p people and r rigid things; numbers of movers count people first."""
 
     bodies: Bodies
-    tracks: tuple[Track, ...]
+    tracks: tuple[Track, ...]  # of the people
     rigid: tuple[Rigid, ...]
     albedo: NDArray[np.float32]
-    changes_place: NDArray[np.bool_]
+    changes_place: NDArray[np.bool_]  # whether each ever leaves the place where it began
 
     @property
     def surfaces(self) -> NDArray[np.uint8]:
@@ -69,15 +61,13 @@ class Movers:
         rest = [thing.surface for thing in self.rigid]
         return np.array([Surface.PERSON] * len(self.tracks) + rest, dtype=np.uint8)
 
-    def places(self, time: float) -> NDArray[np.float64]:
+    def places(self, time: float) -> Floats:
         """Return where each mover is: (p + r, 3)."""
         tables = [track.place for track in self.tracks] + [thing.place for thing in self.rigid]
         rows = [_between(table, time) for table in tables]
         return np.array(rows).reshape(-1, 3)
 
-    def target(
-        self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
-    ) -> Target:
+    def target(self, times: Floats, sensor: Floats, reach: float) -> Target:
         """Return what rays can meet, each mover when the rays get to it: (p + r,) times.
 
         People make way for the sensor, (3,), and what is more than `reach` metres from it is left
@@ -98,7 +88,7 @@ class Movers:
         return Target(Body(Mesh.joined(parts), self.surfaces[owner], self.albedo[owner]), owner)
 
     def _people(
-        self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
+        self, times: Floats, sensor: Floats, reach: float
     ) -> tuple[Mesh, NDArray[np.int64]]:
         at = zip(self.tracks, times.tolist(), strict=False)
         rows = np.array([_posture(track, time) for track, time in at]).reshape(-1, 8)
@@ -117,11 +107,11 @@ class Movers:
         return mesh, seen[owner]
 
 
-def _between(table: NDArray[np.float64], time: float) -> NDArray[np.float64]:
+def _between(table: Floats, time: float) -> Floats:
     """Return a row of a table between its samples; none between where a thing jumps."""
     at = min(max(time / STEP, 0.0), len(table) - 1.001)
     low = int(at)
-    begin: NDArray[np.float64] = table[low]
+    begin: Floats = table[low]
     step = table[low + 1] - begin
     return begin if np.abs(step).max() > 20 else begin + step * (at - low)
 

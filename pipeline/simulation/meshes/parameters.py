@@ -5,11 +5,11 @@ from enum import StrEnum
 from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from pipeline.configuration.run import load_parameters
 from pipeline.errors import ConfigurationError
-from pipeline.simulation.parameters import SimulationParameters
+from pipeline.simulation.parameters import SimulationParameters, key
 from pipeline.simulation.scene import SceneKind
 
 
@@ -55,76 +55,51 @@ class MeshParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    kind: MeshSceneKind = Field(MeshSceneKind.OFFICE, description="The scene.")
-    sensor: SensorKind = Field(SensorKind.VLP16, description="The sensor.")
-    seed: int = Field(0, ge=0, description="Seed of all that is random.")
+    kind: MeshSceneKind = key(MeshSceneKind.OFFICE, "The scene.")
+    sensor: SensorKind = key(SensorKind.VLP16, "The sensor.")
+    seed: int = key(0, "Seed of all that is random.", ge=0)
+    drive: int = key(0, "Another number: the same scene, but other people, noise and drift.", ge=0)
 
-    drive: int = Field(
-        0, ge=0, description="Another number: the same scene, but other people, noise and drift."
-    )
+    scans: int = key(150, "Scans that enter the map.", ge=1)
+    rays: int = key(14_000, "Rays of a scan, about: rings are thinned in azimuth.", ge=64)
+    interval: float = key(0.8, "Least time between two scans, in seconds.", gt=0)
+    key_distance: float = key(0.0, "Metres between two scans; 0: time alone counts.", ge=0)
+    rate: float = key(10.0, "Scans that the sensor makes, per second.", gt=0)
 
-    scans: int = Field(150, ge=1, description="Scans that enter the map.")
-    rays: int = Field(
-        14_000, ge=64, description="Rays of a scan, about: rings are thinned in azimuth."
-    )
-    interval: float = Field(0.8, gt=0, description="Least time between two scans, in seconds.")
-    key_distance: float = Field(
-        0.0, ge=0, description="Way between two scans, in metres; 0 for none: time alone counts."
-    )
-    rate: float = Field(10.0, gt=0, description="Scans that the sensor makes, per second.")
+    mode: DriveMode = key(DriveMode.THROUGH, "How the sensor gets about.")
+    speed: float = key(1.0, "Of the sensor, in metres per second.", gt=0)
+    sensor_height: float = key(0.9, "Above the ground, in metres.", ge=0.2, le=3)
+    pitch: float = key(0.0, "How far it is tilted down ahead, in degrees.", ge=-90, le=90)
+    wobble: float = key(0.0, "Roll and pitch of a hand or a head, in degrees (deviation).", ge=0)
+    own_body: float = key(0.35, "Nothing nearer than this in plan is measured, in metres.", ge=0)
 
-    mode: DriveMode = Field(DriveMode.THROUGH, description="How the sensor gets about.")
-    speed: float = Field(1.0, gt=0, description="Its speed, in metres per second.")
-    sensor_height: float = Field(0.9, ge=0.2, le=3, description="Above the ground, in metres.")
-    pitch: float = Field(
-        0.0, ge=-90, le=90, description="How far the sensor is tilted down ahead, in degrees."
-    )
-    wobble: float = Field(
-        0.0, ge=0, description="Roll and pitch of a hand or a head, in degrees (deviation)."
-    )
-    own_body: float = Field(
-        0.35, ge=0, description="Nothing nearer than this in plan is measured, in metres."
-    )
+    min_range: float = key(0.3, "In metres.", ge=0)
+    max_range: float = key(100.0, "In metres.", gt=0)
+    range_noise: float = key(0.012, "Deviation of a range, in metres.", ge=0)
+    angle_noise: float = key(0.05, "Deviation of a ray, in degrees.", ge=0)
+    dropouts: float = key(0.02, "Share of returns lost at random.", ge=0, le=0.9)
+    sensitivity: float = key(1.0, "Above 1, the sensor sees dark and grazed things.", gt=0)
+    mixed: float = key(0.1, "Share of rays on an edge that measure something between.", ge=0, le=1)
+    beam: float = key(0.17, "Width of a ray, in degrees.", ge=0)
 
-    min_range: float = Field(0.3, ge=0, description="In metres.")
-    max_range: float = Field(100.0, gt=0, description="In metres.")
-    range_noise: float = Field(0.012, ge=0, description="Deviation of a range, in metres.")
-    angle_noise: float = Field(0.05, ge=0, description="Deviation of a ray, in degrees.")
-    dropouts: float = Field(0.02, ge=0, le=0.9, description="Share of returns lost at random.")
-    sensitivity: float = Field(
-        1.0, gt=0, description="How weak a return may be: above 1 sees dark and grazed things."
-    )
-    mixed: float = Field(
-        0.1, ge=0, le=1, description="Share of rays on an edge that measure something between."
-    )
-    beam: float = Field(0.17, ge=0, description="Width of a ray, in degrees.")
+    people: int = key(8, "People who come, go, gather, sit and queue.", ge=0)
+    lingering: float = key(0.2, "Share who stand most or all of the time.", ge=0, le=1)
+    visiting: float = key(0.0, "Share who are there for some seconds only.", ge=0, le=1)
+    seated: int = key(3, "People who sit or stand all the time.", ge=0)
+    vehicles: int = key(2, "Cars, forklifts, robots, doors, chairs: wheels.", ge=0)
+    glass: float = key(0.5, "How much of a scene is glass.", ge=0, le=1)
+    mirrors: float = key(0.2, "How likely mirrors are.", ge=0, le=1)
+    clutter: float = key(1.0, "How much stands and lies about.", ge=0, le=3)
 
-    people: int = Field(8, ge=0, description="People who come, go, gather, sit and queue.")
-    lingering: float = Field(
-        0.2, ge=0, le=1, description="Share of them who stand at one place most or all of the time."
-    )
-    visiting: float = Field(
-        0.0, ge=0, le=1, description="Share of them who are there for some seconds only."
-    )
-    seated: int = Field(3, ge=0, description="People who sit or stand all the time.")
-    vehicles: int = Field(2, ge=0, description="Cars, forklifts, robots, doors, chairs: wheels.")
-    glass: float = Field(0.5, ge=0, le=1, description="How much of a scene is glass.")
-    mirrors: float = Field(0.2, ge=0, le=1, description="How likely mirrors are.")
-    clutter: float = Field(1.0, ge=0, le=3, description="How much stands and lies about.")
+    drift_position: float = key(0.015, "Deviation of the pose, in metres.", ge=0)
+    drift_angle: float = key(0.1, "Deviation of the heading, in degrees.", ge=0)
+    jitter_position: float = key(0.003, "Of each scan alone, in metres.", ge=0)
+    jitter_angle: float = key(0.03, "Of each scan alone, in degrees.", ge=0)
+    loop_gap: float = key(0.0, "Metres that a loop closure leaves: walls are doubled.", ge=0)
 
-    drift_position: float = Field(0.015, ge=0, description="Deviation of the pose, in metres.")
-    drift_angle: float = Field(0.1, ge=0, description="Deviation of the heading, in degrees.")
-    jitter_position: float = Field(0.003, ge=0, description="Of each scan alone, in metres.")
-    jitter_angle: float = Field(0.03, ge=0, description="Of each scan alone, in degrees.")
-    loop_gap: float = Field(
-        0.0, ge=0, description="What a loop closure leaves open, in metres: walls are doubled."
-    )
-
-    scan_voxel: float = Field(
-        0.0, ge=0, description="Each scan's voxel filter, in metres; 0: none."
-    )
-    voxel: float = Field(0.0, ge=0, description="The map's voxel filter, in metres; 0 for none.")
-    keep: float = Field(1.0, gt=0, le=1, description="Share of points that the map keeps.")
+    scan_voxel: float = key(0.0, "Each scan's voxel filter, in metres; 0: none.", ge=0)
+    voxel: float = key(0.0, "The map's voxel filter, in metres; 0: none.", ge=0)
+    keep: float = key(1.0, "Share of points that the map keeps.", gt=0, le=1)
 
     @property
     def points(self) -> None:
@@ -161,12 +136,12 @@ def load_simulation(settings: Sequence[str]) -> SimulationParameters | MeshParam
     """
     pairs = [setting.partition("=") for setting in settings]
     scenes = [*map(str, SceneKind), *sorted(_ONLY_MESHES)]
-    for key, _, value in pairs:
-        if key == "scene" and value not in {*scenes, *map(str, MeshSceneKind)}:
+    for name, _, value in pairs:
+        if name == "scene" and value not in {*scenes, *map(str, MeshSceneKind)}:
             raise ConfigurationError(f"scene: expected one of {', '.join(scenes)}, found {value!r}")
     meshes = any(
-        key in ("sensor", "kind") or (key == "scene" and value in _ONLY_MESHES)
-        for key, _, value in pairs
+        name in ("sensor", "kind") or (name == "scene" and value in _ONLY_MESHES)
+        for name, _, value in pairs
     )
     if not meshes:
         return load_parameters(SimulationParameters, None, settings)

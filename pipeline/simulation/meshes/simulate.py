@@ -15,8 +15,8 @@ from pipeline.simulation.meshes.scenes import build_stage
 from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
 from pipeline.simulation.parameters import nothing_seen
-from pipeline.simulation.points import Points
-from pipeline.simulation.simulate import SimulatedScan
+from pipeline.simulation.points import Floats, Points
+from pipeline.simulation.simulate import SimulatedScan, ray_directions
 
 _RINGS = {  # of Velodyne's VLP-16, HDL-32E and HDL-64E (its lower half is coarser), and OS1-64
     SensorKind.VLP16: np.linspace(-15.0, 15.0, 16),
@@ -29,35 +29,29 @@ _MID360_TURNS = 61.803  # turns of the prism a second, and of its nodding: never
 _MID360_NODS = 23.607
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
-    """The rays of one scan.
+def sweep(
+    kind: SensorKind, rays: int, number: int, rate: float, random: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Return the rays of a scan, about so many.
 
-    Attributes
-    ----------
+    Returns
+    -------
     directions : (n, 3) float64 array
         Unit vectors in the sensor's frame: x ahead, y left, z up.
     share : (n,) float64 array
         When each fires, as a share of the scan.
     """
-
-    directions: NDArray[np.float64]
-    share: NDArray[np.float64]
-
-
-def sweep(
-    kind: SensorKind, rays: int, number: int, rate: float, random: np.random.Generator
-) -> Sweep:
-    """Return the rays of a scan, about so many."""
     if kind is SensorKind.MID360:
         return _rosette(rays, number, rate, random)
     elevations = np.radians(_RINGS[kind])
     columns = max(4, round(rays / len(elevations)))
     share = np.repeat((np.arange(columns) + random.random()) / columns, len(elevations))
-    return _directed(2 * np.pi * share, np.tile(elevations, columns), share)
+    return ray_directions(2 * np.pi * share, np.tile(elevations, columns)), share
 
 
-def _rosette(rays: int, number: int, rate: float, random: np.random.Generator) -> Sweep:
+def _rosette(
+    rays: int, number: int, rate: float, random: np.random.Generator
+) -> tuple[Floats, Floats]:
     """Return four lines of a turning, nodding beam, which go elsewhere in each scan."""
     share = (np.arange(rays // 4) + 0.5) / (rays // 4)
     time = np.repeat((number * 1.0371 + share) / rate, 4) + random.random() * 1e-3
@@ -67,15 +61,7 @@ def _rosette(rays: int, number: int, rate: float, random: np.random.Generator) -
     # An angle by arcsine: lines are as dense in the middle as at the edges.
     spread = 0.5 + np.arcsin(nod) / np.pi
     elevation = _MID360_LOW + (_MID360_HIGH - _MID360_LOW) * spread
-    return _directed(azimuth, elevation, np.repeat(share, 4))
-
-
-def _directed(
-    azimuth: NDArray[np.float64], elevation: NDArray[np.float64], share: NDArray[np.float64]
-) -> Sweep:
-    flat = np.cos(elevation)
-    across, aside = flat * np.cos(azimuth), flat * np.sin(azimuth)
-    return Sweep(np.stack([across, aside, np.sin(elevation)], axis=1), share)
+    return ray_directions(azimuth, elevation), np.repeat(share, 4)
 
 
 _EDGE = 0.15  # metres between two ranges that a ray on an edge would mix
@@ -105,8 +91,8 @@ class MeshMap:
 
     parameters: MeshParameters
     points: Points
-    poses: NDArray[np.float64]
-    true_poses: NDArray[np.float64]
+    poses: Floats
+    true_poses: Floats
 
 
 class Recording:
@@ -139,26 +125,26 @@ class Recording:
         """Return the points of a scan in the map's frame, with what moves or without."""
         told, random = self.parameters, self._random(_Stream.SENSOR, number)
         start, true = float(self.drive.times[number]), self.drive.true[number]
-        turn = sweep(told.sensor, told.rays, number, told.rate, random)
-        origins = true[:, 3] + turn.share[:, None] / told.rate * self.drive.velocity[number]
-        aimed = turn.directions @ true[:, :3].T
+        directions, share = sweep(told.sensor, told.rays, number, told.rate, random)
+        origins = true[:, 3] + share[:, None] / told.rate * self.drive.velocity[number]
+        aimed = directions @ true[:, :3].T
         hits, other = self._cast(number, (origins, aimed), movers, random)
         met = self._returned(hits, random)
         distance = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
         apart = np.where(np.isfinite(other.distance), other.distance - distance, 0.0)
         between = met & (np.abs(apart) > _EDGE)
-        share = np.where(between, random.random(len(met)), 0.0)
-        ranges = distance + share * apart + random.normal(size=len(met)) * told.range_noise
+        mix = np.where(between, random.random(len(met)), 0.0)
+        ranges = distance + mix * apart + random.normal(size=len(met)) * told.range_noise
         seen = origins + ranges[:, None] * aimed
         flat = np.hypot(*(seen - true[:, 3])[:, :2].T)
         met &= (ranges > told.min_range) & (ranges < told.max_range) & (flat > told.own_body)
-        moving, known = self._truth(hits, other, share)
+        moving, known = self._truth(hits, other, mix)
         noise = random.normal(size=len(met)) * 6
         kept = met & (random.random(len(met)) < told.keep)
         points = Points(
             xyz=to_map(self.drive.estimated[number], to_sensor(true, seen)),
             intensity=np.round(hits.albedo * 200 + noise).clip(0, 255).astype(np.float32),
-            time=start + turn.share / told.rate,
+            time=start + share / told.rate,
             surface=hits.surface,
             moving=moving,
             known=known,
@@ -167,7 +153,7 @@ class Recording:
         return points.take(kept).filtered(told.scan_voxel)
 
     def _truth(
-        self, hits: Hits, other: Hits, share: NDArray[np.float64]
+        self, hits: Hits, other: Hits, share: Floats
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Say which rays meet what changes its place, and for which that can be told.
 
@@ -186,11 +172,7 @@ class Recording:
         return first | second, ~unclear
 
     def _cast(
-        self,
-        number: int,
-        rays: tuple[NDArray[np.float64], NDArray[np.float64]],
-        movers: bool,
-        random: np.random.Generator,
+        self, number: int, rays: tuple[Floats, Floats], movers: bool, random: np.random.Generator
     ) -> tuple[Hits, Hits]:
         """Return what each ray meets, and what its other half meets where it may be on an edge."""
         told, (origins, aimed) = self.parameters, rays
@@ -209,7 +191,7 @@ class Recording:
         own = np.arange(len(aimed))
         other = own.copy()
         other[halves] = len(aimed) + np.arange(len(halves))
-        return hits.of(own), hits.of(other)
+        return hits.take(own), hits.take(other)
 
     def _returned(self, hits: Hits, random: np.random.Generator) -> NDArray[np.bool_]:
         """Say which rays return: not those that are lost at random, grazed, dark or far."""
@@ -222,8 +204,8 @@ class Recording:
         return returned & np.isfinite(hits.distance)
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    unit: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+def _unit(vectors: Floats) -> Floats:
+    unit: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return unit
 
 

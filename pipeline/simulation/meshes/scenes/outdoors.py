@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation.meshes import furniture as f
 from pipeline.simulation.meshes.building import wall
@@ -11,6 +10,7 @@ from pipeline.simulation.meshes.mesh import Mesh, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import At, Floor, Height, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
+from pipeline.simulation.points import Floats
 from pipeline.simulation.scene import Surface
 
 _KERB = 0.12
@@ -221,9 +221,9 @@ def _terrain(random: np.random.Generator, side: float) -> Height:
     phases = random.uniform(0, 2 * np.pi, 4)
     steep = random.uniform(0.01, 0.12) / np.linalg.norm(waves, axis=1)
 
-    def height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def height(x: Floats, y: Floats) -> Floats:
         angle = np.multiply.outer(x, waves[:, 0]) + np.multiply.outer(y, waves[:, 1]) + phases
-        rise: NDArray[np.float64] = np.sin(angle) @ steep * 0.5
+        rise: Floats = np.sin(angle) @ steep * 0.5
         return rise
 
     return height
