@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Scene, Shapes, Surface
 
 HEIGHT = 3.0
@@ -222,7 +222,7 @@ class Furnisher:
     """
 
     def __init__(
-        self, builder: Builder, random: np.random.Generator, scene: Scene, *, rounds: bool = True
+        self, builder: Builder, random: Random, scene: Scene, *, rounds: bool = True
     ) -> None:
         self._builder = builder
         self._random = random

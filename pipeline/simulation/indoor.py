@@ -11,8 +11,9 @@ import numpy as np
 
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import door, glass_wall, passage, window
-from pipeline.simulation.points import Floats
-from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Walkways, on_floor
+from pipeline.simulation.movers import automated_vehicle, forklift
+from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.scene import Place, Scene, Shapes, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0
@@ -51,7 +52,7 @@ class _Plan:
         return [(x, y) for x in (5.6, self.hall_east - 5.3) for y in (5.6, 8.6)]
 
 
-def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def indoor_scene(random: Random, glass: bool = True) -> Scene:
     """Draw a floor. Panes let rays pass; without `glass` they are solid walls."""
     plan = _draw_plan(random)
     north, east = plan.hall_north - 3.2, plan.hall_east - 3.1
@@ -62,7 +63,7 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         queue_return=on_floor([(_QUEUE_X - 1.4, 8.0), (_QUEUE_X - 1.4, 3.6)]),
         robot_route=_robot_route(plan),
         machine_route=on_floor([(3.4, 3.1), (east, 3.1), (east, north), (3.4, north)]),
-        machines=(MachineKind.FORKLIFT, MachineKind.AGV),
+        machines=(forklift, automated_vehicle),
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )
@@ -78,7 +79,7 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     return scene
 
 
-def _draw_plan(random: np.random.Generator) -> _Plan:
+def _draw_plan(random: Random) -> _Plan:
     """Move each wall and door a little from where an architect would put it."""
     dividers = np.array([7.5, 15.0, 22.5]) + random.uniform(-0.8, 0.8, 3)
     walls = np.array([0.0, *dividers, LENGTH])
@@ -116,9 +117,7 @@ def _add_walls(builder: c.Builder, plan: _Plan) -> None:
         builder.pillar(x, y)
 
 
-def _furnish_hall(
-    builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, random: np.random.Generator
-) -> None:
+def _furnish_hall(builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, random: Random) -> None:
     """Add the counter, and furniture in the hall and the corridor."""
     for x, y in plan.pillars:
         furnisher.take((x - 0.4, x + 0.4), (y - 0.4, y + 0.4))
@@ -137,7 +136,7 @@ def _furnish_hall(
     furnisher.free_standing(corridor, c.PLANT, 2)
 
 
-def _furnish_rooms(furnisher: c.Furnisher, plan: _Plan, random: np.random.Generator) -> None:
+def _furnish_rooms(furnisher: c.Furnisher, plan: _Plan, random: Random) -> None:
     """Make each room an office, a store or a classroom; a meeting room and a laboratory are set."""
     uses = ("office", "store", "classroom", "office")
     for room, use in zip(plan.northern_rooms, random.permutation(uses), strict=True):

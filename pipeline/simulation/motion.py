@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 
 TURN_RATE = np.radians(90.0)
 """How fast the robot turns on the spot, in radians per second."""
@@ -135,7 +135,7 @@ def to_sensor(pose: Floats, points: Floats) -> Floats:
     return (points - pose[:, 3]) @ pose[:, :3]
 
 
-def drift(parameters: SimulationParameters, random: np.random.Generator) -> Iterator[Floats]:
+def drift(parameters: SimulationParameters, random: Random) -> Iterator[Floats]:
     """Yield the error of the estimated pose, scan after scan: x, y and z in metres, heading.
 
     An Ornstein-Uhlenbeck process from 0: the error wanders, and loop closures hold it near 0, so

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.simulation.motion import CLEARANCE, Trajectory, drive, keep_clear
-from pipeline.simulation.points import Floats
-from pipeline.simulation.scene import MachineKind, Scene, Shapes, Surface, Walkways
+from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.scene import Scene, Shapes, Surface, Walkways
 
 WALKING_SPEED = (0.9, 1.6)
 """Slowest and fastest walker, in metres per second."""
@@ -67,60 +67,56 @@ class Movers:
 
 
 def populate(
-    scene: Scene,
-    walkers: int,
-    queuers: int,
-    machines: int,
-    duration: float,
-    random: np.random.Generator,
+    scene: Scene, walkers: int, queuers: int, machines: int, duration: float, random: Random
 ) -> Movers:
     """Send people and machines through a scene for `duration` seconds."""
     ways = [_walk(scene.walkways, duration, random) for _ in range(walkers)]
     ways += _queue(scene, queuers, duration, random)
     everyone = [Mover(way, person_shapes(random), on_foot=True) for way in ways]
     for number in range(machines):
-        kind = scene.machines[number % len(scene.machines)]
+        machine = scene.machines[number % len(scene.machines)]
         # All keep the same distance on their round, whatever it is at the beginning.
         ahead = (number + random.uniform(0.0, 0.2)) / machines
         way = drive(scene.machine_route, scene.machine_speed, duration, ahead)
-        everyone.append(Mover(way, machine_shapes(kind, random), on_foot=False))
+        everyone.append(Mover(way, machine(random), on_foot=False))
     return Movers(everyone)
 
 
-def person_shapes(random: np.random.Generator) -> Shapes:
+def person_shapes(random: Random) -> Shapes:
     """Return a body and a head."""
     height, radius = random.uniform(1.55, 1.85), random.uniform(0.2, 0.27)
     rows = [(0.0, 0.0, radius, 0.0, height - 0.25), (0.0, 0.0, 0.1, height - 0.25, height)]
     return Shapes.of(cylinders=rows, cylinder_surface=[Surface.PERSON] * 2)
 
 
-def machine_shapes(kind: MachineKind, random: np.random.Generator) -> Shapes:
-    """Return a machine or vehicle of some kind, no two of the same size."""
-    if kind is MachineKind.CAR:
-        return car_shapes(random)
-    if kind is MachineKind.BICYCLE:
-        return Shapes.of(
-            [(-0.85, -0.04, 0.0, 0.85, 0.04, 0.75, 0.0, 0.0)],
-            [Surface.VEHICLE],
-            [(-0.1, 0.0, 0.22, 0.75, random.uniform(1.6, 1.85))],
-            [Surface.PERSON],
-        )
-    load = random.uniform(0.6, 1.2)
-    if kind is MachineKind.AGV:
-        boxes = [(-0.7, -0.45, 0.05, 0.7, 0.45, 0.35), (-0.6, -0.4, 0.35, 0.6, 0.4, 0.35 + load)]
-    else:
-        boxes = [
-            (-1.0, -0.55, 0.1, 0.5, 0.55, 1.1),  # body
-            (-0.7, -0.5, 2.05, 0.45, 0.5, 2.1),  # roof
-            (0.5, -0.45, 0.1, 0.6, 0.45, 2.2),  # mast
-            (0.6, -0.5, 0.15, 1.2, 0.5, 0.15 + load),  # load on the fork
-        ]
-        posts = [(x, y) for x in (-0.7, 0.4) for y in (-0.5, 0.45)]
-        boxes += [(x, y, 1.1, x + 0.05, y + 0.05, 2.05) for x, y in posts]
-    return Shapes.of([(*box, 0.0, 0.0) for box in boxes], [Surface.MACHINE] * len(boxes))
+def bicycle(random: Random) -> Shapes:
+    """Return a bicycle and its rider."""
+    frame = (-0.85, -0.04, 0.0, 0.85, 0.04, 0.75, 0.0, 0.0)
+    rider = (-0.1, 0.0, 0.22, 0.75, random.uniform(1.6, 1.85))
+    return Shapes.of([frame], [Surface.VEHICLE], [rider], [Surface.PERSON])
 
 
-def car_shapes(random: np.random.Generator) -> Shapes:
+def automated_vehicle(random: Random) -> Shapes:
+    """Return an automated guided vehicle and its load."""
+    top = 0.35 + random.uniform(0.6, 1.2)
+    boxes = [(-0.7, -0.45, 0.05, 0.7, 0.45, 0.35), (-0.6, -0.4, 0.35, 0.6, 0.4, top)]
+    return _upright_boxes(boxes, Surface.MACHINE)
+
+
+def forklift(random: Random) -> Shapes:
+    """Return a forklift with a load on its fork."""
+    boxes = [
+        (-1.0, -0.55, 0.1, 0.5, 0.55, 1.1),  # body
+        (-0.7, -0.5, 2.05, 0.45, 0.5, 2.1),  # roof
+        (0.5, -0.45, 0.1, 0.6, 0.45, 2.2),  # mast
+        (0.6, -0.5, 0.15, 1.2, 0.5, 0.15 + random.uniform(0.6, 1.2)),  # load on the fork
+    ]
+    posts = [(x, y) for x in (-0.7, 0.4) for y in (-0.5, 0.45)]
+    boxes += [(x, y, 1.1, x + 0.05, y + 0.05, 2.05) for x, y in posts]
+    return _upright_boxes(boxes, Surface.MACHINE)
+
+
+def car(random: Random) -> Shapes:
     """Return a car, or now and then a van: its body, its cabin and its wheels as one box each."""
     half, width = random.uniform(1.95, 2.3), random.uniform(0.82, 0.92)
     roof = 2.2 if random.random() < 0.2 else random.uniform(1.4, 1.65)
@@ -130,10 +126,14 @@ def car_shapes(random: np.random.Generator) -> Shapes:
         (-half + 0.4, -width, 0.0, -half + 1.0, width, 0.25),
         (half - 1.0, -width, 0.0, half - 0.4, width, 0.25),
     ]
-    return Shapes.of([(*box, 0.0, 0.0) for box in boxes], [Surface.VEHICLE] * len(boxes))
+    return _upright_boxes(boxes, Surface.VEHICLE)
 
 
-def _walk(walkways: Walkways, duration: float, random: np.random.Generator) -> Trajectory:
+def _upright_boxes(boxes: Sequence[tuple[float, ...]], surface: Surface) -> Shapes:
+    return Shapes.of([(*box, 0.0, 0.0) for box in boxes], [surface] * len(boxes))
+
+
+def _walk(walkways: Walkways, duration: float, random: Random) -> Trajectory:
     """Walk from place to place at random, and stop at some; turn back only in dead ends."""
     speed = random.uniform(*WALKING_SPEED)
     here, before = int(random.integers(len(walkways.places))), -1
@@ -155,16 +155,14 @@ def _walk(walkways: Walkways, duration: float, random: np.random.Generator) -> T
     return _upright(times, positions)
 
 
-def _spot(walkways: Walkways, place: int, random: np.random.Generator) -> Floats:
+def _spot(walkways: Walkways, place: int, random: Random) -> Floats:
     """Return a point within the freedom of a place."""
     chosen = walkways.places[place]
     shift = random.uniform(-chosen.freedom, chosen.freedom, 2)
     return np.array([chosen.x + shift[0], chosen.y + shift[1], chosen.z])
 
 
-def _queue(
-    scene: Scene, queuers: int, duration: float, random: np.random.Generator
-) -> list[Trajectory]:
+def _queue(scene: Scene, queuers: int, duration: float, random: Random) -> list[Trajectory]:
     """Queue at the counter: whoever is served walks around and joins again at the end."""
     slots = scene.queue[:queuers].copy()
     slots[:, :2] += random.uniform(-0.1, 0.1, (queuers, 2))

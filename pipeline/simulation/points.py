@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Random = np.random.Generator
 
 
 @dataclass(frozen=True, slots=True)

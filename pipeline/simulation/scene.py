@@ -5,7 +5,7 @@ walls, furniture, people, machines and trees, and the distance along a ray to ei
 All lengths are in metres.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from itertools import pairwise
@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.points import Columns, Floats
+from pipeline.simulation.points import Columns, Floats, Random
 
 
 class SceneKind(StrEnum):
@@ -23,15 +23,6 @@ class SceneKind(StrEnum):
     STOREYS = "storeys"
     RAMP = "ramp"
     STREET = "street"
-
-
-class MachineKind(StrEnum):
-    """The machines and vehicles that drive about."""
-
-    FORKLIFT = "forklift"
-    AGV = "agv"
-    CAR = "car"
-    BICYCLE = "bicycle"
 
 
 class Surface(IntEnum):
@@ -142,7 +133,7 @@ class Scene:
     queue_return: Floats  # (m, 3), corners of the way from the counter back to the end of the queue
     robot_route: Floats  # (m, 3), corners of a closed route on the floor
     machine_route: Floats
-    machines: tuple[MachineKind, ...]  # which drive, in turn
+    machines: tuple[Callable[[Random], Shapes], ...]  # what makes those that drive, in turn
     machine_speed: float  # in metres per second
     size: tuple[float, float]  # along x and y from 0
     gap: float = 6.0  # to the next scene of its kind
@@ -160,14 +151,12 @@ class Scene:
             replace(place, x=length - place.x) if axis == 0 else replace(place, y=length - place.y)
             for place in self.walkways.places
         )
+        ways = ("queue", "queue_return", "robot_route", "machine_route")
         return replace(
             self,
             shapes=self.shapes.mirrored(axis, length),
             walkways=replace(self.walkways, places=places),
-            queue=turned(self.queue),
-            queue_return=turned(self.queue_return),
-            robot_route=turned(self.robot_route),
-            machine_route=turned(self.machine_route),
+            **{name: turned(getattr(self, name)) for name in ways},
         )
 
 

@@ -12,7 +12,7 @@ from pipeline.simulation.indoor import indoor_scene
 from pipeline.simulation.motion import drift, drive, pose_matrix, rotations, to_map, to_sensor
 from pipeline.simulation.movers import populate
 from pipeline.simulation.parameters import RINGS, SimulationParameters
-from pipeline.simulation.points import Floats, Points
+from pipeline.simulation.points import Floats, Points, Random
 from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
 from pipeline.simulation.scene import Scene, SceneKind
 from pipeline.simulation.street import street_scene
@@ -33,7 +33,7 @@ def ray_directions(azimuth: Floats, elevation: Floats) -> Floats:
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
-def rotation(columns: int, random: np.random.Generator) -> tuple[Floats, Floats]:
+def rotation(columns: int, random: Random) -> tuple[Floats, Floats]:
     """Turn the sensor once; the azimuth of the first firing is random, as its motor is free.
 
     Returns
@@ -147,9 +147,7 @@ def build_scene(parameters: SimulationParameters, block: int = 0) -> Scene:
     return build(random_stream(parameters, block, Stream.SCENE), parameters.glass)
 
 
-def random_stream(
-    parameters: SimulationParameters, block: int, stream: Stream
-) -> np.random.Generator:
+def random_stream(parameters: SimulationParameters, block: int, stream: Stream) -> Random:
     """Return the random numbers of one purpose, in one block, for one drive."""
     drive_number = 0 if stream is Stream.SCENE else parameters.drive
     key = (block, drive_number, int(stream))
@@ -202,9 +200,7 @@ class Drive:
         for number, error in zip(count(step=every), errors, strict=False):
             yield self._scan(number, columns, error, random)
 
-    def _scan(
-        self, number: int, columns: int, error: Floats, random: np.random.Generator
-    ) -> SimulatedScan:
+    def _scan(self, number: int, columns: int, error: Floats, random: Random) -> SimulatedScan:
         """Turn the sensor once."""
         parameters = self.parameters
         share, directions = rotation(columns, random)

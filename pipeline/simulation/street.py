@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.simulation.construction import Builder, Span
-from pipeline.simulation.movers import car_shapes
-from pipeline.simulation.points import Floats
-from pipeline.simulation.scene import MachineKind, Place, Scene, Surface, Walkways
+from pipeline.simulation.movers import bicycle, car
+from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.scene import Place, Scene, Surface, Walkways
 
 LENGTH, WIDTH = 120.0, 40.0
 _MIDDLE = WIDTH / 2
@@ -23,7 +23,7 @@ _CROSSINGS = (15.0, 60.0, 105.0)
 _TRANSVERSE = 3.0  # x at which the robot crosses, and as far from the other end
 
 
-def street_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def street_scene(random: Random, glass: bool = True) -> Scene:
     """Draw a street: the slope of its road (2 to 6 %), houses, trees and parked cars.
 
     Shop windows let rays pass; without `glass` they are solid walls.
@@ -53,7 +53,7 @@ def street_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         queue_return=_on_hill([(*corner, _KERB) for corner in back], slope),
         robot_route=_on_hill(_robot_route(), slope),
         machine_route=_on_hill(_lanes(), slope),
-        machines=(MachineKind.CAR, MachineKind.BICYCLE),
+        machines=(car, bicycle),
         machine_speed=5.0,
         size=(LENGTH, WIDTH),
         gap=0.0,
@@ -93,7 +93,7 @@ def _add_ground(builder: Builder, x: Span) -> None:
         builder.box(x, (y[0], y[1]), (-0.3, _KERB), Surface.FLOOR)
 
 
-def _add_houses(builder: Builder, x: Span, side: int, random: np.random.Generator) -> None:
+def _add_houses(builder: Builder, x: Span, side: int, random: Random) -> None:
     """Add houses side by side, each with its own height, set-back, and windows."""
 
     def between(near: float, far: float) -> Span:
@@ -128,7 +128,7 @@ def _add_houses(builder: Builder, x: Span, side: int, random: np.random.Generato
         start = end
 
 
-def _add_trees_and_lamps(builder: Builder, x: Span, side: int, random: np.random.Generator) -> None:
+def _add_trees_and_lamps(builder: Builder, x: Span, side: int, random: Random) -> None:
     """Add trees, whose crowns are many clumps of leaves, and lamp posts between them."""
     y = _MIDDLE + side * _TREES
     for place in np.arange(x[0] + 6.0, x[1] - 3.0, 10.0):
@@ -148,14 +148,14 @@ def _add_trees_and_lamps(builder: Builder, x: Span, side: int, random: np.random
         builder.cylinder(place, y, 0.08, 5.0)
 
 
-def _add_parked_cars(builder: Builder, along: Span, side: int, random: np.random.Generator) -> None:
+def _add_parked_cars(builder: Builder, along: Span, side: int, random: Random) -> None:
     """Park cars along the kerb, but for gaps and crossings."""
     for place in np.arange(along[0] + 9.0, along[1] - 6.0, 6.0):
         free = all(abs(place - crossing) > 5.0 for crossing in _CROSSINGS)
         if not free or random.random() < 0.35:
             continue
         x, y = place + random.uniform(-0.4, 0.4), _MIDDLE + side * _PARKING
-        for x0, y0, z0, x1, y1, z1, _, _ in car_shapes(random).boxes:
+        for x0, y0, z0, x1, y1, z1, _, _ in car(random).boxes:
             builder.box((x + x0, x + x1), (y + y0, y + y1), (z0, z1), Surface.VEHICLE)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import glass_wall, passage, window
-from pipeline.simulation.points import Floats
-from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Surface, Walkways, on_floor
+from pipeline.simulation.movers import automated_vehicle, forklift
+from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.scene import Place, Scene, Shapes, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall
@@ -30,7 +31,7 @@ _RAMP = (7.5, 16.5)  # y of its sides
 _ROOF = 6.0
 
 
-def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def storeys_scene(random: Random, glass: bool = True) -> Scene:
     """Build two storeys of 630 m², each a hall with a partition, and a ramp in a lane beside them.
 
     The ramp rises by 3.2 m over 25 m: 12.8 %. The robot goes up it and down again, people too.
@@ -43,7 +44,7 @@ def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         queue_return=on_floor([(27.8, 19.0), (27.8, 14.4)]),
         robot_route=_route_of_storeys(),
         machine_route=on_floor([(5.5, 10.0), (20.0, 10.0), (20.0, 18.0), (5.5, 18.0)]),
-        machines=(MachineKind.AGV, MachineKind.FORKLIFT),
+        machines=(automated_vehicle, forklift),
         machine_speed=1.0,
         size=(LENGTH, WIDTH),
     )
@@ -75,7 +76,7 @@ def _route_of_storeys() -> Floats:
     return np.concatenate([on_floor(lower), on_floor(upper, STOREY), on_floor([foot])])
 
 
-def _furnish_storey(furnisher: c.Furnisher, random: np.random.Generator) -> None:
+def _furnish_storey(furnisher: c.Furnisher, random: Random) -> None:
     """Furnish one storey, to either side of its partition."""
     furnisher.take((LENGTH / 2 - 0.3, LENGTH / 2 + 0.3), _UPSTAIRS.y)
     furnisher.free_standing(_UPSTAIRS, c.PILLAR, 5)
@@ -152,7 +153,7 @@ _TALL_PILLAR = c.Piece(0.6, 0.6, lambda builder, x, y: builder.pillar(x, y, _ROO
 _PALLET = c.Piece(1.2, 0.8, _add_pallet)
 
 
-def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def ramp_scene(random: Random, glass: bool = True) -> Scene:
     """Build a loading hall: a floor, a platform 1.2 m above it, and a ramp of 12 % between them.
 
     The machines drive over the ramp, as the robot and the people do. Panes let rays pass; without
@@ -167,7 +168,7 @@ def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
         queue_return=on_floor([(15.5, 5.4), (10.9, 5.4)]),
         robot_route=_route_of_hall(),
         machine_route=on_floor([(4.5, 12.6), *up, *turn, *down, (4.5, 15.4)]),
-        machines=(MachineKind.FORKLIFT, MachineKind.AGV),
+        machines=(forklift, automated_vehicle),
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Guide, Walkways
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 
 STEP = 0.1
 """Time between two samples of a track, in seconds."""
@@ -52,7 +52,7 @@ def follow(
     guide: Guide,
     speed: float,
     duration: float,
-    random: np.random.Generator,
+    random: Random,
     aside: float = 0.0,
     shift: float = 0.05,
 ) -> Track:
@@ -122,9 +122,7 @@ def along_lane(line: Floats, at: Floats, reach: float) -> tuple[Floats, Floats]:
     return interpolated(at, along, line), np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
-def _track(
-    place: Floats, wanted: Floats, seat: Floats, random: np.random.Generator, shift: float
-) -> Track:
+def _track(place: Floats, wanted: Floats, seat: Floats, random: Random, shift: float) -> Track:
     """Add headings, gait and the unrest of those who stand."""
     count = len(place)
     place = gaussian_filter1d(place, 2.0, axis=0, mode="nearest")
@@ -152,9 +150,7 @@ def _track(
 class Planner:
     """Draws what people do in a scene, for so many seconds."""
 
-    def __init__(
-        self, stage: Stage, walkways: Walkways, duration: float, random: np.random.Generator
-    ) -> None:
+    def __init__(self, stage: Stage, walkways: Walkways, duration: float, random: Random) -> None:
         self._stage, self._walkways = stage, walkways
         self._duration, self._random = duration, random
         self._goals = walkways.draw(random, 24, room=0.5)

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 
 Rows: TypeAlias = ArrayLike | Sequence[Any]
 """A table of numbers, in whatever lists it was written."""
@@ -163,9 +163,7 @@ def extruded(profile: ArrayLike, width: float) -> Mesh:
     return Mesh(np.column_stack([x, y, z]), triangles)
 
 
-def leaves(
-    random: np.random.Generator, count: int, reach: ArrayLike, size: float, hollow: float = 0.5
-) -> Mesh:
+def leaves(random: Random, count: int, reach: ArrayLike, size: float, hollow: float = 0.5) -> Mesh:
     """Make small triangles, of edges about `size` long, in an ellipsoid of half axes `reach`.
 
     With `hollow` 0 they fill it evenly; towards 1 they gather at its surface.

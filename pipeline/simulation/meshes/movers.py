@@ -20,7 +20,7 @@ from pipeline.simulation.meshes.raycasting import Target
 from pipeline.simulation.meshes.stage import Body, Lane, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
 
 STANDS = 0.35
@@ -127,11 +127,7 @@ def _posture(track: Track, time: float) -> tuple[float, ...]:
 
 
 def populate(
-    stage: Stage,
-    walkways: Walkways,
-    parameters: MeshParameters,
-    duration: float,
-    random: np.random.Generator,
+    stage: Stage, walkways: Walkways, parameters: MeshParameters, duration: float, random: Random
 ) -> Movers:
     """Draw who and what moves."""
     planner = Planner(stage, walkways, duration, random)
@@ -168,7 +164,7 @@ def populate(
     )
 
 
-def _visit(track: Track, random: np.random.Generator) -> Track:
+def _visit(track: Track, random: Random) -> Track:
     """Return who is there for 4 to 25 seconds only, and comes walking if he ever walks."""
     walks = np.flatnonzero(track.pace > 0.3)
     begin = random.choice(walks) if len(walks) else random.integers(len(track.pace))
@@ -193,7 +189,7 @@ def seat_people(stage: Stage, count: int) -> None:
     stage.mesh(people_mesh(bodies, postures)[0], Surface.PERSON)
 
 
-def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
+def _driver(lane: Lane, duration: float, random: Random) -> Rigid:
     """Drive along a lane again and again, with stops, or pull out once after a long stand."""
     kind = str(random.choice(lane.kinds))
     count = int(np.ceil(duration / STEP)) + 2
@@ -218,7 +214,7 @@ def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
     return Rigid(mesh, place, yaw, surface)
 
 
-def _rider(random: np.random.Generator) -> Mesh:
+def _rider(random: Random) -> Mesh:
     """Make a person on a bicycle."""
     body, zero = draw_bodies(random, 1, 0.2), np.zeros(1)
     stride, lean = zero + random.uniform(0.2, 0.8), zero + random.uniform(0.2, 0.6)
@@ -227,7 +223,7 @@ def _rider(random: np.random.Generator) -> Mesh:
     return people_mesh(body, posture)[0]
 
 
-def _doors(stage: Stage, duration: float, random: np.random.Generator, most: int) -> list[Rigid]:
+def _doors(stage: Stage, duration: float, random: Random, most: int) -> list[Rigid]:
     """Open and close some doors."""
     count = min(len(stage.doors), int(random.integers(0, most + 1)))
     rigid = []

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from pipeline.configuration.run import load_parameters
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.parameters import SimulationParameters, key
+from pipeline.simulation.points import Random
 from pipeline.simulation.scene import SceneKind
 
 
@@ -198,7 +199,7 @@ def random_parameters(
 
 
 def _way_of_sensor(
-    random: np.random.Generator, sensor: SensorKind, vehicle: bool, keyed: bool
+    random: Random, sensor: SensorKind, vehicle: bool, keyed: bool
 ) -> dict[str, Any]:
     u = random.uniform
     return {
@@ -215,7 +216,7 @@ def _way_of_sensor(
     }
 
 
-def _standing(random: np.random.Generator) -> dict[str, Any]:
+def _standing(random: Random) -> dict[str, Any]:
     """Draw who passes by a sensor that stands, and whether its scans need no registration."""
     u = random.uniform
     drawn: dict[str, Any] = {}
@@ -227,7 +228,7 @@ def _standing(random: np.random.Generator) -> dict[str, Any]:
     return drawn | {"visiting": float(u(0, 1)) if random.random() < 0.6 else 0.0}
 
 
-def _measurements(random: np.random.Generator) -> dict[str, Any]:
+def _measurements(random: Random) -> dict[str, Any]:
     """Draw what the sensor makes of what it meets."""
     u = random.uniform
     return {
@@ -242,7 +243,7 @@ def _measurements(random: np.random.Generator) -> dict[str, Any]:
 
 
 def _what_moves(
-    random: np.random.Generator, mode: DriveMode, outdoors: bool, people: int, still: bool
+    random: Random, mode: DriveMode, outdoors: bool, people: int, still: bool
 ) -> dict[str, Any]:
     """Draw what moves, and what stands about."""
     u = random.uniform
@@ -258,7 +259,7 @@ def _what_moves(
     }
 
 
-def _map_of_scans(random: np.random.Generator, good: bool, voxel: float) -> dict[str, Any]:
+def _map_of_scans(random: Random, good: bool, voxel: float) -> dict[str, Any]:
     """Draw drift, and what becomes of the map's points."""
     u = random.uniform
     return {

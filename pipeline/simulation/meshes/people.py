@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, boxes, tube_triangles, tube_vertices
-from pipeline.simulation.points import Columns, Floats
+from pipeline.simulation.points import Columns, Floats, Random
 
 SIDES = 6
 _DEPTH = np.array([1.0, 0.62, 0.66, 1.0, 1, 1, 1, 1, 1, 1, 1, 1, 0.8, 0.8, 0.7])
@@ -49,7 +49,7 @@ class Postures(Columns):
     lean: Floats  # of the upper body ahead, in radians
 
 
-def draw_bodies(random: np.random.Generator, count: int, burdens: float = 0.5) -> Bodies:
+def draw_bodies(random: Random, count: int, burdens: float = 0.5) -> Bodies:
     """Draw people of all sizes, a share of them with bags, trolleys or prams."""
     height = np.clip(random.normal(1.71, 0.1, count), 1.45, 2.0)
     child = random.random(count) < 0.07
@@ -67,7 +67,7 @@ def draw_bodies(random: np.random.Generator, count: int, burdens: float = 0.5) -
     )
 
 
-def _burden(random: np.random.Generator, height: float) -> Mesh:
+def _burden(random: Random, height: float) -> Mesh:
     """Draw something that a person carries, pulls or pushes."""
     u = random.uniform
     kind = random.choice(["backpack", "bag", "shoulder", "trolley", "pram", "box"],

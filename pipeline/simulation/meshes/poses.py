@@ -18,7 +18,7 @@ from pipeline.simulation.meshes.itineraries import (
 from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters
 from pipeline.simulation.meshes.stage import Lane, Stage
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 
 _FORGOTTEN = 25.0  # scans over which the error of the pose is forgotten
 
@@ -43,7 +43,7 @@ def longest(parameters: MeshParameters) -> float:
 
 
 def sensor_track(
-    stage: Stage, walkways: Walkways, parameters: MeshParameters, random: np.random.Generator
+    stage: Stage, walkways: Walkways, parameters: MeshParameters, random: Random
 ) -> Track:
     """Draw the way of the sensor's foot."""
     duration = longest(parameters)
@@ -65,9 +65,7 @@ def sensor_track(
     return follow(stops, walkways.guide(goals), parameters.speed, duration, random, shift=0.0)
 
 
-def _along(
-    lane: Lane, parameters: MeshParameters, duration: float, random: np.random.Generator
-) -> Track:
+def _along(lane: Lane, parameters: MeshParameters, duration: float, random: Random) -> Track:
     """Drive along a lane, once, as far as time goes."""
     count = int(np.ceil(duration / STEP)) + 2
     length = way_along(lane.line)[-1]
@@ -85,7 +83,7 @@ def _along(
     return Track(place, gaussian_filter1d(yaw, 5.0), gone, pace, zero, zero)
 
 
-def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
+def drive(track: Track, parameters: MeshParameters, random: Random) -> Drive:
     """Choose the times of the scans, and say where the sensor is and is believed to be."""
     samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
     times = _scan_times(track, samples, parameters)
@@ -124,7 +122,7 @@ def _scan_times(track: Track, samples: Floats, parameters: MeshParameters) -> Fl
     return in_time
 
 
-def _estimated(true: Floats, parameters: MeshParameters, random: np.random.Generator) -> Floats:
+def _estimated(true: Floats, parameters: MeshParameters, random: Random) -> Floats:
     """Return poses with an error that wanders, jitters, and leaves a gap at a loop closure."""
     count = len(true)
     angle = np.radians(parameters.drift_angle) * np.array([0.3, 0.3, 1.0])
@@ -145,7 +143,7 @@ def _estimated(true: Floats, parameters: MeshParameters, random: np.random.Gener
     return _in_map(believed, true[0])
 
 
-def _ornstein_uhlenbeck(random: np.random.Generator, count: int) -> Floats:
+def _ornstein_uhlenbeck(random: Random, count: int) -> Floats:
     """Return six wandering errors of deviation 1, smooth from scan to scan."""
     kept = np.exp(-1 / _FORGOTTEN)
     steps = random.normal(size=(count, 6)) * np.sqrt(1 - kept**2)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
-from pipeline.simulation.points import Columns, Floats
+from pipeline.simulation.points import Columns, Floats, Random
 
 STATIC = -1
 _GLASS_SPARKLE = 0.55
@@ -133,9 +133,7 @@ class Caster:
         nearest: Floats = np.min([each.clearance(points) for each in targets], axis=0)
         return nearest
 
-    def cast(
-        self, origins: Floats, directions: Floats, movers: Target, random: np.random.Generator
-    ) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, movers: Target, random: Random) -> Hits:
         """Return what each ray meets: glass now and then, and what is seen in mirrors."""
         hits = self._through_glass(origins, directions, movers, random)
         mirror = self._mirror.hits(origins, directions)
@@ -156,7 +154,7 @@ class Caster:
         return hits
 
     def _through_glass(
-        self, origins: Floats, directions: Floats, movers: Target, random: np.random.Generator
+        self, origins: Floats, directions: Floats, movers: Target, random: Random
     ) -> Hits:
         hits = self._solid.hits(origins, directions)
         moving = movers.hits(origins, directions)

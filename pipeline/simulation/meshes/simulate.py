@@ -11,11 +11,12 @@ from pipeline.simulation.meshes.movers import populate, seat_people
 from pipeline.simulation.meshes.parameters import MeshParameters, SensorKind
 from pipeline.simulation.meshes.poses import drive, longest, sensor_track
 from pipeline.simulation.meshes.raycasting import Caster, Hits
-from pipeline.simulation.meshes.scenes import build_stage
+from pipeline.simulation.meshes.scenes import SCENES
+from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
 from pipeline.simulation.parameters import nothing_seen
-from pipeline.simulation.points import Floats, Points
+from pipeline.simulation.points import Floats, Points, Random
 from pipeline.simulation.simulate import SimulatedScan, ray_directions
 
 _RINGS = {  # of Velodyne's VLP-16, HDL-32E and HDL-64E (its lower half is coarser), and OS1-64
@@ -30,7 +31,7 @@ _MID360_NODS = 23.607
 
 
 def sweep(
-    kind: SensorKind, rays: int, number: int, rate: float, random: np.random.Generator
+    kind: SensorKind, rays: int, number: int, rate: float, random: Random
 ) -> tuple[Floats, Floats]:
     """Return the rays of a scan, about so many.
 
@@ -49,9 +50,7 @@ def sweep(
     return ray_directions(2 * np.pi * share, np.tile(elevations, columns)), share
 
 
-def _rosette(
-    rays: int, number: int, rate: float, random: np.random.Generator
-) -> tuple[Floats, Floats]:
+def _rosette(rays: int, number: int, rate: float, random: Random) -> tuple[Floats, Floats]:
     """Return four lines of a turning, nodding beam, which go elsewhere in each scan."""
     share = (np.arange(rays // 4) + 0.5) / (rays // 4)
     time = np.repeat((number * 1.0371 + share) / rate, 4) + random.random() * 1e-3
@@ -106,7 +105,8 @@ class Recording:
 
     def __init__(self, parameters: MeshParameters) -> None:
         self.parameters = parameters
-        self.stage = build_stage(parameters, self._random(_Stream.SCENE))
+        self.stage = Stage(self._random(_Stream.SCENE))
+        SCENES[parameters.kind](self.stage, parameters)
         seat_people(self.stage, parameters.seated)
         self.caster = Caster(self.stage)
         spacing = 0.35 if parameters.kind.indoors else 0.6
@@ -116,7 +116,7 @@ class Recording:
         track = sensor_track(self.stage, walkways, parameters, self._random(_Stream.DRIVE))
         self.drive = drive(track, parameters, self._random(_Stream.DRIFT))
 
-    def _random(self, stream: _Stream, number: int = 0) -> np.random.Generator:
+    def _random(self, stream: _Stream, number: int = 0) -> Random:
         drive_number = 0 if stream is _Stream.SCENE else self.parameters.drive
         key = (int(stream), drive_number, number)
         return np.random.default_rng(np.random.SeedSequence(self.parameters.seed, spawn_key=key))
@@ -172,7 +172,7 @@ class Recording:
         return first | second, ~unclear
 
     def _cast(
-        self, number: int, rays: tuple[Floats, Floats], movers: bool, random: np.random.Generator
+        self, number: int, rays: tuple[Floats, Floats], movers: bool, random: Random
     ) -> tuple[Hits, Hits]:
         """Return what each ray meets, and what its other half meets where it may be on an edge."""
         told, (origins, aimed) = self.parameters, rays
@@ -193,7 +193,7 @@ class Recording:
         other[halves] = len(aimed) + np.arange(len(halves))
         return hits.take(own), hits.take(other)
 
-    def _returned(self, hits: Hits, random: np.random.Generator) -> NDArray[np.bool_]:
+    def _returned(self, hits: Hits, random: Random) -> NDArray[np.bool_]:
         """Say which rays return: not those that are lost at random, grazed, dark or far."""
         told = self.parameters
         distance = np.where(np.isfinite(hits.distance), hits.distance, 1e6)

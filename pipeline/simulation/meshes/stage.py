@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
 
 T = TypeVar("T")
@@ -91,7 +91,7 @@ def level(height: float) -> Height:
 class Stage:
     """A scene while it is built, and afterwards."""
 
-    random: np.random.Generator  # furnishes it
+    random: Random  # furnishes it
     floors: list[Floor] = field(default_factory=list)  # walked on, if nothing stands there
     links: list[Floats] = field(default_factory=list)  # (n, 3) ways that join floors: stairs
     seats: list[Seat] = field(default_factory=list)

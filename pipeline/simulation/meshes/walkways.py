@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.simulation.meshes.raycasting import Caster
 from pipeline.simulation.meshes.stage import Floor, Stage
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Floats, Random
 
 _HEIGHTS = (0.4, 0.95, 1.5)
 CLEARANCE = 0.34
@@ -59,7 +59,7 @@ class Walkways:
         """Return the node nearest to each place."""
         return np.atleast_1d(cKDTree(self.nodes).query(np.atleast_2d(places))[1]).astype(np.int64)
 
-    def draw(self, random: np.random.Generator, count: int, room: float = 0.0) -> NDArray[np.int64]:
+    def draw(self, random: Random, count: int, room: float = 0.0) -> NDArray[np.int64]:
         """Draw nodes, those with so much room if there are any."""
         wide = np.flatnonzero(self.room >= room)
         return random.choice(wide if len(wide) else len(self.nodes), count)

@@ -64,18 +64,13 @@ def _counters(stage: Stage, long: float) -> None:
             slots = np.arange(8)
             stage.queue = np.column_stack([np.full(8, x), 2.4 + 0.8 * slots, np.zeros(8)])
             if random.random() < 0.6:
-                _tapes(stage, x, 2.6)
-
-
-def _tapes(stage: Stage, x: float, y: float) -> None:
-    """Put posts with tape between them on both sides of a queue."""
-    lines, radii = [], []
-    posts = y + np.arange(4) * 1.6
-    for at in (x - 0.6, x + 0.6):
-        lines += [[[at, post, 0], [at, post, 0.95]] for post in posts]
-        lines += [[[at, posts[0], high], [at, posts[-1], high]] for high in (0.9, 0.86)]
-        radii += [0.03] * 4 + [0.015] * 2
-    stage.mesh(tubes(lines, np.array(radii)[:, None], 5))
+                posts, lines = 2.6 + np.arange(4) * 1.6, []
+                for tape in (x - 0.6, x + 0.6):
+                    lines += [[[tape, post, 0], [tape, post, 0.95]] for post in posts]
+                    ends = posts[[0, -1]]
+                    lines += [[[tape, y, high] for y in ends] for high in (0.9, 0.86)]
+                radii = np.tile([0.03] * 4 + [0.015] * 2, 2)
+                stage.mesh(tubes(lines, radii[:, None], 5))
 
 
 def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
@@ -184,12 +179,16 @@ def garage(stage: Stage, told: MeshParameters) -> None:
         gap = ((0.5, length - 1, 1.1, high - 0.3),) if random.random() < 0.3 else ()
         wall(stage, here, there, 0, high, gap, 0.3)
     full = u(0.15, 0.95)
+    xs = np.linspace(1.5, long - 1.5, 20)
     for number in range(aisles):
         low = number * pitch
         for y, yaw in ((low + _DEEP / 2, np.pi / 2), (low + pitch - _DEEP / 2, -np.pi / 2)):
             _bays(stage, bays, y, yaw, full)
+        x = np.concatenate([xs, xs[::-1], xs[:1]])
+        aside = np.repeat([-1.2, 1.2, -1.2], [20, 20, 1])
+        line = np.column_stack([x, low + _DEEP + _AISLE / 2 + aside, 0 * x])
+        stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
     _structure(stage, (long, wide, high), bays, aisles, pitch)
-    _car_lanes(stage, long, aisles, pitch)
     for _ in range(random.poisson(5 * told.clutter)):
         x, side = u(1, long - 1), random.random() < 0.5
         at = (x, 0.5 if side else wide - 0.5, 0.0, np.pi / 2 if side else -np.pi / 2)
@@ -233,17 +232,6 @@ def _structure(
         stage.block([x[0], y + 5, 0], [x[-1], y + 5.15, 1.1], Surface.WALL)
 
 
-def _car_lanes(stage: Stage, long: float, aisles: int, pitch: float) -> None:
-    """Let cars drive round through the aisles."""
-    for number in range(aisles):
-        y = number * pitch + _DEEP + _AISLE / 2
-        xs = np.linspace(1.5, long - 1.5, 20)
-        forth = np.column_stack([xs, np.full(20, y - 1.2), 0 * xs])
-        back = np.column_stack([xs[::-1], np.full(20, y + 1.2), 0 * xs])
-        line = np.concatenate([forth, back, forth[:1]])
-        stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
-
-
 def warehouse(stage: Stage, told: MeshParameters) -> None:
     """Build a warehouse: aisles between high racks, pallets on the floor, forklifts."""
     random, u = stage.random, stage.random.uniform
@@ -270,7 +258,11 @@ def warehouse(stage: Stage, told: MeshParameters) -> None:
         for y in np.arange(3, long, 8):
             pillar(stage, x, y, high)
     _pallets(stage, told, wide, long, apron)
-    _forklift_lanes(stage, aisles, long, apron)
+    low, top = apron * 0.7, long - apron * 0.7
+    for _ in range(3):  # up one aisle and down another
+        x0, x1 = np.array(aisles)[random.choice(len(aisles), 2, replace=False)]
+        line = np.array([[x0, low, 0], [x0, top, 0], [x1, top, 0], [x1, low, 0], [x0, low, 0]])
+        stage.lanes.append(Lane(line, ("forklift", "forklift", "robot"), (0.8, 2.5), closed=True))
 
 
 def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron: float) -> None:
@@ -290,14 +282,3 @@ def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron
     if random.random() < 0.5:
         y = apron - 0.6
         f.railing(stage, [u(1, wide / 2), y, 0], [wide / 2 + 2, y, 0], 1.1)
-
-
-def _forklift_lanes(stage: Stage, aisles: list[float], long: float, apron: float) -> None:
-    """Let forklifts go up one aisle and down another."""
-    random = stage.random
-    low, top = apron * 0.7, long - apron * 0.7
-    for _ in range(3):
-        first, second = random.choice(len(aisles), 2, replace=False)
-        x0, x1 = aisles[first], aisles[second]
-        line = np.array([[x0, low, 0], [x0, top, 0], [x1, top, 0], [x1, low, 0], [x0, low, 0]])
-        stage.lanes.append(Lane(line, ("forklift", "forklift", "robot"), (0.8, 2.5), closed=True))
