@@ -25,28 +25,16 @@ _LONGEST = 10.0  # times the planned drive, after which a sensor that sees nothi
 
 @dataclass(frozen=True, slots=True)
 class SimulatedMap:
-    """A map of n points from s scans, and the truth about it.
+    """A map of n points from s scans, and the truth about it."""
 
-    Attributes
-    ----------
-    parameters : SimulationParameters
-        What made it.
-    xyz : (n, 3) float32 array
-        In metres; the floor of the lowest storey is at z = 0.
-    intensity, time, scan, moving, surface : (n,) float32, float64, uint32, uint8, uint8 arrays
-        As in `Points`; times since the drive began.
-    true_poses, estimated_poses : (s, 3, 4) float64 array
-        From the sensor's frame to the map's, at the beginning of each scan.
-    """
-
-    parameters: SimulationParameters
-    xyz: NDArray[np.float32]
-    intensity: NDArray[np.float32]
-    time: Floats
+    parameters: SimulationParameters  # what made it
+    xyz: NDArray[np.float32]  # (n, 3), in metres; the floor of the lowest storey is at z = 0
+    intensity: NDArray[np.float32]  # (n,) like all that follow, as in `Points`
+    time: Floats  # in seconds since the drive began
     scan: NDArray[np.uint32]
     moving: NDArray[np.uint8]
     surface: NDArray[np.uint8]
-    true_poses: Floats
+    true_poses: Floats  # (s, 3, 4), from the sensor's frame to the map's, when each scan begins
     estimated_poses: Floats
 
 
@@ -73,7 +61,8 @@ def simulate(parameters: SimulationParameters) -> SimulatedMap:
 def simulate_scans(parameters: SimulationParameters) -> Iterator[SimulatedScan]:
     """Yield the scans of the map one by one, each as it enters the map.
 
-    What is held in memory is one scan and one block of scene, whatever the number of points.
+    Blocks give nearly the same number of points, a million at most. What is held in memory is one
+    scan and one block of scene, whatever that number.
 
     Raises
     ------
@@ -84,22 +73,17 @@ def simulate_scans(parameters: SimulationParameters) -> Iterator[SimulatedScan]:
         yield from islice(Drive(parameters).scans(parameters.columns), parameters.scans)
         return
     number, seconds = 0, 0.0
-    shares = block_shares(parameters.points)
-    for block, points in enumerate(shares):
+    blocks = -(-parameters.points // POINTS_OF_A_BLOCK)
+    for block in range(blocks):
+        points = parameters.points // blocks + (block < parameters.points % blocks)
         drive = Drive(parameters, block, 2 * parameters.scans * parameters.scan_interval)
-        place = block_place(block, len(shares), drive.scene)
+        place = block_place(block, blocks, drive.scene)
         done = 0
         for scan in _scans_of_block(drive, points):
             done = scan.number + 1
             yield scan.moved(number, seconds, place)
         number += done
         seconds += done * parameters.scan_interval
-
-
-def block_shares(points: int) -> list[int]:
-    """Return how many points each block gives: nearly the same, a million at most."""
-    blocks = -(-points // POINTS_OF_A_BLOCK)
-    return [points // blocks + (block < points % blocks) for block in range(blocks)]
 
 
 def block_place(block: int, blocks: int, scene: Scene) -> Floats:

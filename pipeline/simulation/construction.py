@@ -6,7 +6,8 @@ All lengths are in metres.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -165,19 +166,11 @@ class Builder:
         self.box((x - 0.3, x + 0.3), (y + 0.55, y + 0.6), (0.8, 1.2))
         self.chair(x, y - 0.4, back=-0.2)
 
-    def seats(self, x: float, y: float) -> None:
-        """Add a small table between four chairs, 1.2 by 2.1 about (x, y)."""
-        self.table(x, y, length=1.2)
-        for side in (-1, 1):
-            for left in (-0.3, 0.3):
-                self.chair(x + left, y + side * 0.6, back=side * 0.2)
-
-    def meeting_table(self, x: float, y: float) -> None:
-        """Add a long table between six chairs, 4 by 2.8 about (x, y)."""
-        self.table(x, y, length=4.0, depth=1.4)
-        for side in (-1, 1):
-            for left in (-1.3, 0.0, 1.3):
-                self.chair(x + left, y + side * 1.0, back=side * 0.2)
+    def seats(self, x: float, y: float, size: Span, chairs: tuple[float, ...], away: float) -> None:
+        """Add a table about (x, y) between two rows of chairs, which stand at `away` from it."""
+        self.table(x, y, *size)
+        for side, left in product((-1, 1), chairs):
+            self.chair(x + left, y + side * away, back=side * 0.2)
 
     def plant(self, x: float, y: float) -> None:
         """Add a plant in a pot, 0.7 by 0.7 about (x, y)."""
@@ -203,8 +196,10 @@ class Piece:
 
 
 DESK = Piece(1.6, 1.7, Builder.desk)
-SEATS = Piece(1.2, 2.1, Builder.seats)
-MEETING_TABLE = Piece(4.0, 2.8, Builder.meeting_table)
+SEATS = Piece(1.2, 2.1, partial(Builder.seats, size=(1.2, 0.8), chairs=(-0.3, 0.3), away=0.6))
+MEETING_TABLE = Piece(
+    4.0, 2.8, partial(Builder.seats, size=(4.0, 1.4), chairs=(-1.3, 0.0, 1.3), away=1.0)
+)
 TABLE = Piece(1.8, 0.8, Builder.table)
 PLANT = Piece(0.7, 0.7, Builder.plant)
 PILLAR = Piece(0.6, 0.6, Builder.pillar)

@@ -13,7 +13,7 @@ from pipeline.simulation import construction as c
 from pipeline.simulation.construction import door, glass_wall, passage, window
 from pipeline.simulation.movers import automated_vehicle, forklift
 from pipeline.simulation.points import Floats, Random
-from pipeline.simulation.scene import Place, Scene, Shapes, Walkways, on_floor
+from pipeline.simulation.scene import Place, Scene, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0
@@ -57,7 +57,6 @@ def indoor_scene(random: Random, glass: bool = True) -> Scene:
     plan = _draw_plan(random)
     north, east = plan.hall_north - 3.2, plan.hall_east - 3.1
     scene = Scene(
-        shapes=Shapes.of(),
         walkways=_walkways(plan),
         queue=on_floor([(_QUEUE_X, _COUNTER_Y - 0.7 - 0.8 * slot) for slot in range(6)]),
         queue_return=on_floor([(_QUEUE_X - 1.4, 8.0), (_QUEUE_X - 1.4, 3.6)]),

@@ -180,15 +180,10 @@ def _queue(scene: Scene, queuers: int, duration: float, random: Random) -> list[
                 stops[1:1] = list(scene.queue_return)
             # One behind the other: each sets off a little after the person in front of them.
             start = time + (0.4 * slot if person != served else 0.0)
-            times[person].extend(_walking_times(start, np.array(stops)))
+            lengths = np.hypot(*np.diff(np.array(stops)[:, :2], axis=0).T)
+            times[person] += [start, *(start + np.cumsum(lengths) / np.mean(WALKING_SPEED))]
             positions[person].extend(stops)
     return [_upright(t, p) for t, p in zip(times, positions, strict=True)]
-
-
-def _walking_times(start: float, stops: Floats) -> list[float]:
-    """Return when each stop is reached at a walker's mean speed, the first at `start`."""
-    lengths = np.hypot(*np.diff(stops[:, :2], axis=0).T)
-    return [start, *(start + np.cumsum(lengths) / np.mean(WALKING_SPEED))]
 
 
 def _upright(times: list[float], positions: list[Floats]) -> Trajectory:

@@ -14,7 +14,7 @@ POINTS_OF_A_BLOCK = 1_000_000
 """Most points that one block of scene gives to a map of a given size."""
 
 
-def key(default: Any, description: str, **limits: float) -> Any:
+def key(default: Any, description: str, **limits: Any) -> Any:
     """Return a parameter of a simulation: its default, what it means, and what is allowed."""
     return Field(default, description=description, **limits)
 

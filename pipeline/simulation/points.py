@@ -28,6 +28,11 @@ class Columns:
         names = [field.name for field in fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
+    def replaced(self, other: Self, where: NDArray[np.bool_]) -> Self:
+        """Return these rows, but those of another table where told."""
+        both = ((getattr(other, field.name), getattr(self, field.name)) for field in fields(self))
+        return type(self)(*(np.where(where, *pair) for pair in both))
+
 
 @dataclass(frozen=True, slots=True)
 class Points(Columns):

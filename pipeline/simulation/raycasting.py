@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.points import Floats
+from pipeline.simulation.points import Columns, Floats
 from pipeline.simulation.scene import Shapes
 from tiling.compiled import compiled
 
@@ -22,7 +22,7 @@ _NOTHING = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Hits:
+class Hits(Columns):
     """What each of n rays meets first."""
 
     distance: Floats  # in metres; infinite where the ray meets nothing

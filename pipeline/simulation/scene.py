@@ -6,9 +6,10 @@ All lengths are in metres.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,7 +128,6 @@ class Walkways:
 class Scene:
     """All that stands still, and where one can go."""
 
-    shapes: Shapes
     walkways: Walkways
     queue: Floats  # (s, 3), slots of the queue, from the counter to its end
     queue_return: Floats  # (m, 3), corners of the way from the counter back to the end of the queue
@@ -137,6 +137,7 @@ class Scene:
     machine_speed: float  # in metres per second
     size: tuple[float, float]  # along x and y from 0
     gap: float = 6.0  # to the next scene of its kind
+    shapes: Shapes = field(default_factory=Shapes.of)
 
     def mirrored(self, axis: int) -> "Scene":
         """Swap left and right along x (axis 0) or y (axis 1), within the size."""
@@ -151,12 +152,13 @@ class Scene:
             replace(place, x=length - place.x) if axis == 0 else replace(place, y=length - place.y)
             for place in self.walkways.places
         )
-        ways = ("queue", "queue_return", "robot_route", "machine_route")
+        names = ("queue", "queue_return", "robot_route", "machine_route")
+        ways: dict[str, Any] = {name: turned(getattr(self, name)) for name in names}
         return replace(
             self,
             shapes=self.shapes.mirrored(axis, length),
             walkways=replace(self.walkways, places=places),
-            **{name: turned(getattr(self, name)) for name in ways},
+            **ways,
         )
 
 

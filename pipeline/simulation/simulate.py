@@ -80,26 +80,14 @@ class Stream(IntEnum):
 class SimulatedScan:
     """One scan, free of motion distortion, as after perfect deskewing.
 
-    Attributes
-    ----------
-    number : int
-        In the order of the map, from 0.
-    start : float
-        When the rotation began, in seconds.
-    returns : Points
-        What the sensor saw.
-    static_returns : Points
-        What it would have seen at the same time, with the same noise and drift, had nothing moved
-        been there.
-    true_pose, estimated_pose : (3, 4) float64 array
-        From the sensor's frame to the map's, at the beginning of the scan.
+    Without what moves, the same noise and drift would have given `static_returns` at the same time.
     """
 
-    number: int
-    start: float
+    number: int  # in the order of the map, from 0
+    start: float  # when the rotation began, in seconds
     returns: Points
     static_returns: Points
-    true_pose: Floats
+    true_pose: Floats  # (3, 4), from the sensor's frame to the map's, at the beginning of the scan
     estimated_pose: Floats
 
     def in_sensor_frame(self) -> Floats:
@@ -237,14 +225,10 @@ class Drive:
             )
 
         ghosts = moving.distance < still.distance
-        seen = Hits(
-            np.where(ghosts, moving.distance, still.distance),
-            np.where(ghosts, moving.surface, still.surface),
-        )
         return SimulatedScan(
             number=number,
             start=start,
-            returns=returns(seen, ghosts),
+            returns=returns(still.replaced(moving, ghosts), ghosts),
             static_returns=returns(still, np.zeros_like(ghosts)),
             true_pose=true_pose,
             estimated_pose=estimated_pose,

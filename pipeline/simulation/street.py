@@ -46,13 +46,16 @@ def street_scene(random: Random, glass: bool = True) -> Scene:
         builder.box((kiosk, kiosk + 1.6), (y - 0.6, y + 0.6), (0.0, 2.4), Surface.FURNITURE)
     queue = [(kiosk - 0.6 - 0.8 * slot, y) for slot in range(6)]
     back = [(kiosk - 0.6, y + 1.0), (kiosk - 5.2, y + 1.0)]
+    ends = 8.0, LENGTH / 2, LENGTH - 8.0
+    lanes = [(x, _MIDDLE - _LANE, 0.0) for x in ends]
+    lanes += [(x, _MIDDLE + _LANE, 0.0) for x in ends[::-1]]
     return Scene(
         shapes=builder.shapes(),
         walkways=walkways,
         queue=_on_hill([(*slot, _KERB) for slot in queue], slope),
         queue_return=_on_hill([(*corner, _KERB) for corner in back], slope),
         robot_route=_on_hill(_robot_route(), slope),
-        machine_route=_on_hill(_lanes(), slope),
+        machine_route=_on_hill(lanes, slope),
         machines=(car, bicycle),
         machine_speed=5.0,
         size=(LENGTH, WIDTH),
@@ -69,13 +72,6 @@ def _robot_route() -> list[tuple[float, float, float]]:
     corners += [(east, north), (middle, north), (west, north)]
     corners += [(west, kerb) for kerb in kerbs[::-1]]
     return [(x, y, _KERB) for x, y in corners]
-
-
-def _lanes() -> list[tuple[float, float, float]]:
-    """Return the round of the cars: there on one lane, and back on the other."""
-    west, middle, east = 8.0, LENGTH / 2, LENGTH - 8.0
-    there = [(x, _MIDDLE - _LANE, 0.0) for x in (west, middle, east)]
-    return there + [(x, _MIDDLE + _LANE, 0.0) for x in (east, middle, west)]
 
 
 def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> Floats:

@@ -11,7 +11,7 @@ from pipeline.simulation import construction as c
 from pipeline.simulation.construction import glass_wall, passage, window
 from pipeline.simulation.movers import automated_vehicle, forklift
 from pipeline.simulation.points import Floats, Random
-from pipeline.simulation.scene import Place, Scene, Shapes, Surface, Walkways, on_floor
+from pipeline.simulation.scene import Place, Scene, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall
@@ -38,7 +38,6 @@ def storeys_scene(random: Random, glass: bool = True) -> Scene:
     Panes let rays pass; without `glass` they are solid walls.
     """
     scene = Scene(
-        shapes=Shapes.of(),
         walkways=_ways_of_storeys(),
         queue=on_floor([(26.5, 19.0 - 0.8 * slot) for slot in range(6)]),
         queue_return=on_floor([(27.8, 19.0), (27.8, 14.4)]),
@@ -162,7 +161,6 @@ def ramp_scene(random: Random, glass: bool = True) -> Scene:
     up, down = _over(12.6), _over(15.4)[::-1]
     turn = [(25.0, 12.6, PLATFORM), (25.0, 15.4, PLATFORM)]
     scene = Scene(
-        shapes=Shapes.of(),
         walkways=_ways_of_hall(),
         queue=on_floor([(15.5 - 0.8 * slot, 4.0) for slot in range(6)]),
         queue_return=on_floor([(15.5, 5.4), (10.9, 5.4)]),

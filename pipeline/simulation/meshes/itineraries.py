@@ -79,7 +79,9 @@ def follow(
         if stop is not before:
             way = guide.way(before.node, stop.node, aside)
             way = np.concatenate([before.place[None], way, stop.place[None]])
-            total = add(_paced(way, speed * random.uniform(0.85, 1.15)), np.nan, 0.0)
+            along, pace = way_along(way), speed * random.uniform(0.85, 1.15)
+            steps = np.linspace(0, along[-1], max(2, int(np.ceil(along[-1] / (pace * STEP)))))
+            total = add(interpolated(steps, along, way), np.nan, 0.0)
         stays = max(1, int(stop.wait / STEP))
         if stop is stops[-1]:
             stays = max(stays, count - total)
@@ -90,13 +92,6 @@ def follow(
             break
     table = np.concatenate(parts)[:count]
     return _track(table[:, :3], table[:, 3], table[:, 4], random, shift)
-
-
-def _paced(way: Floats, speed: float) -> Floats:
-    """Return where one is along a way at each step of time."""
-    along = way_along(way)
-    steps = max(2, int(np.ceil(along[-1] / (speed * STEP))))
-    return interpolated(np.linspace(0, along[-1], steps), along, way)
 
 
 def way_along(line: Floats) -> Floats:

@@ -120,10 +120,9 @@ def _posture(track: Track, time: float) -> tuple[float, ...]:
     """Return place, yaw, way gone, pace, sitting and seat of a person."""
     at = min(max(time / STEP, 0.0), len(track.yaw) - 1.001)
     low = int(at)
-    x, y, z = track.place[low] + (track.place[low + 1] - track.place[low]) * (at - low)
-    yaw = track.yaw[low] + (track.yaw[low + 1] - track.yaw[low]) * (at - low)
-    gone = track.gone[low] + (track.gone[low + 1] - track.gone[low]) * (at - low)
-    return (x, y, z, yaw, gone, track.pace[low], track.sitting[low], track.seat[low])
+    begin, end = (np.array([*track.place[n], track.yaw[n], track.gone[n]]) for n in (low, low + 1))
+    held = (track.pace[low], track.sitting[low], track.seat[low])
+    return (*(begin + (end - begin) * (at - low)), *held)
 
 
 def populate(
@@ -209,18 +208,13 @@ def _driver(lane: Lane, duration: float, random: Random) -> Rigid:
     place[at > length] = _AWAY
     mesh = VEHICLES[kind](random)
     if kind == "bicycle":
-        mesh = Mesh.joined([mesh, _rider(random)])
+        body, zero = draw_bodies(random, 1, 0.2), np.zeros(1)
+        stride, lean = zero + random.uniform(0.2, 0.8), zero + random.uniform(0.2, 0.6)
+        saddle = np.array([[-0.2, 0.0, 0.0]])
+        rider = Postures(saddle, zero, zero, stride, zero + 0.55, zero + 0.88, lean)
+        mesh = Mesh.joined([mesh, people_mesh(body, rider)[0]])
     surface = Surface.MACHINE if kind in ("forklift", "robot") else Surface.VEHICLE
     return Rigid(mesh, place, yaw, surface)
-
-
-def _rider(random: Random) -> Mesh:
-    """Make a person on a bicycle."""
-    body, zero = draw_bodies(random, 1, 0.2), np.zeros(1)
-    stride, lean = zero + random.uniform(0.2, 0.8), zero + random.uniform(0.2, 0.6)
-    place = np.array([[-0.2, 0.0, 0.0]])
-    posture = Postures(place, zero, zero, stride, zero + 0.55, zero + 0.88, lean)
-    return people_mesh(body, posture)[0]
 
 
 def _doors(stage: Stage, duration: float, random: Random, most: int) -> list[Rigid]:

@@ -1,5 +1,6 @@
 """What a simulation of meshes can be told, by settings or drawn widely to learn from."""
 
+import re
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any, Self
@@ -146,9 +147,7 @@ def load_simulation(settings: Sequence[str]) -> SimulationParameters | MeshParam
     )
     if not meshes:
         return load_parameters(SimulationParameters, None, settings)
-    renamed = [
-        "kind" + setting[5:] if setting.startswith("scene=") else setting for setting in settings
-    ]
+    renamed = [re.sub("^scene=", "kind=", setting) for setting in settings]
     return load_parameters(MeshParameters, None, renamed)
 
 
@@ -175,70 +174,47 @@ def random_parameters(
     still = few < 0.12  # nothing moves at all
     keyed = random.random() < 0.5
     good = random.random() < 0.5  # a map as one hopes for: whole scans, small drift, no filter
-    scans = int(np.exp(u(np.log(60), np.log(300 if good else 500))))
-    total = np.exp(u(np.log(2e6), np.log(4e6)) if good else u(np.log(4e5), np.log(3e6)))
+    scans = int(_log_uniform(random, 60, 300 if good else 500))
+    total = _log_uniform(random, *((2e6, 4e6) if good else (4e5, 3e6)))
     if random.random() < 0.25:  # a short, hurried drive: most places are hardly scanned
-        scans = int(np.exp(u(np.log(6), np.log(60))))
-        total = np.exp(u(np.log(8e4), np.log(6e5)))
+        scans, total = int(_log_uniform(random, 6, 60)), _log_uniform(random, 8e4, 6e5)
     elif mode is DriveMode.STAND:  # sees the same walls again and again
         total *= u(1, 4)
     voxel = float(random.choice([0.05, 0.05, 0.1, 0.2 if outdoors else 0.1]))
     rays = int(np.clip(total / scans, 2_500, 60_000 if good else 28_000))
     drawn: dict[str, Any] = {"kind": kind, "sensor": sensor, "seed": seed, "mode": mode}
-    drawn |= {"scans": scans, "rays": rays}
     # In this order: what is drawn later follows from what was drawn before.
-    drawn |= _way_of_sensor(random, sensor, vehicle, keyed)
-    drawn |= _measurements(random)
+    drawn |= {"scans": scans, "rays": rays} | _sensor(random, sensor, vehicle, keyed)
     if sensor is SensorKind.RING64:  # looks 2 degrees up: stands as high as people, or on a car
-        drawn["sensor_height"] = max(drawn["sensor_height"], float(u(1.2, 1.9)))
-    drawn |= _what_moves(random, mode, outdoors, 0 if still else people, still)
+        drawn["sensor_height"] = max(drawn["sensor_height"], u(1.2, 1.9))
+    drawn |= _what_moves(random, mode, outdoors, people, still)
     drawn |= _map_of_scans(random, good, voxel)
     if mode is DriveMode.STAND:
         drawn |= _standing(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(98,))))
     return MeshParameters.model_validate(drawn)
 
 
-def _way_of_sensor(
-    random: Random, sensor: SensorKind, vehicle: bool, keyed: bool
-) -> dict[str, Any]:
+def _sensor(random: Random, kind: SensorKind, vehicle: bool, keyed: bool) -> dict[str, Any]:
+    """Draw the way of the sensor, and what it makes of what it meets."""
     u = random.uniform
     return {
         "interval": float(random.choice([0.1, 0.2, 0.5, 1.0])) if not keyed else 0.1,
-        "key_distance": float(u(0.2, 1.0)) * (3.0 if vehicle else 1.0) if keyed else 0.0,
+        "key_distance": u(0.2, 1.0) * (3.0 if vehicle else 1.0) if keyed else 0.0,
         "rate": float(random.choice([5.0, 10.0, 10.0, 20.0])),
-        "speed": float(u(2.5, 9) if vehicle else u(0.5, 1.5)),
-        "sensor_height": float(
-            u(1.6, 2.4) if vehicle else random.choice([u(0.3, 0.7), u(0.7, 1.3)])
+        "speed": u(2.5, 9) if vehicle else u(0.5, 1.5),
+        "sensor_height": (
+            u(1.6, 2.4) if vehicle else float(random.choice([u(0.3, 0.7), u(0.7, 1.3)]))
         ),
-        "pitch": float(u(-5, 30)) if sensor is SensorKind.MID360 and random.random() < 0.4 else 0.0,
-        "wobble": float(u(0.5, 5)) if not vehicle and random.random() < 0.3 else float(u(0, 0.3)),
-        "own_body": float(u(1.2, 2.5) if vehicle else u(0.25, 0.5)),
-    }
-
-
-def _standing(random: Random) -> dict[str, Any]:
-    """Draw who passes by a sensor that stands, and whether its scans need no registration."""
-    u = random.uniform
-    drawn: dict[str, Any] = {}
-    if random.random() < 0.6:  # on a tripod: rays meet the same places again and again
-        drawn["range_noise"] = float(np.exp(u(np.log(0.0005), np.log(0.01))))
-        drawn["angle_noise"] = float(u(0.0, 0.01))
-        still = ("drift_position", "drift_angle", "jitter_position", "jitter_angle")
-        drawn |= dict.fromkeys((*still, "wobble", "loop_gap"), 0.0)
-    return drawn | {"visiting": float(u(0, 1)) if random.random() < 0.6 else 0.0}
-
-
-def _measurements(random: Random) -> dict[str, Any]:
-    """Draw what the sensor makes of what it meets."""
-    u = random.uniform
-    return {
+        "pitch": u(-5, 30) if kind is SensorKind.MID360 and random.random() < 0.4 else 0.0,
+        "wobble": u(0.5, 5) if not vehicle and random.random() < 0.3 else u(0, 0.3),
+        "own_body": u(1.2, 2.5) if vehicle else u(0.25, 0.5),
         "max_range": float(random.choice([15, 30, 60, 100])),
-        "range_noise": float(np.exp(u(np.log(0.004), np.log(0.03)))),
-        "angle_noise": float(u(0.0, 0.12)),
-        "dropouts": float(u(0, 0.15)),
-        "sensitivity": float(np.exp(u(np.log(0.4), np.log(3)))),
-        "mixed": float(u(0, 0.3)),
-        "beam": float(u(0.05, 0.25)),
+        "range_noise": _log_uniform(random, 0.004, 0.03),
+        "angle_noise": u(0.0, 0.12),
+        "dropouts": u(0, 0.15),
+        "sensitivity": _log_uniform(random, 0.4, 3),
+        "mixed": u(0, 0.3),
+        "beam": u(0.05, 0.25),
     }
 
 
@@ -249,13 +225,13 @@ def _what_moves(
     u = random.uniform
     vehicles = [0, 1, 2, 4, 8] if outdoors else [0, 0, 1, 2, 4]
     return {
-        "people": people,
-        "lingering": float(u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4)),
+        "people": 0 if still else people,
+        "lingering": u(0.2, 1.0) if mode is DriveMode.STAND else u(0, 0.4),
         "seated": int(u(0, 8)) if random.random() < 0.5 else 0,
         "vehicles": 0 if still else int(random.choice(vehicles)),
-        "glass": float(u(0, 1)),
-        "mirrors": float(u(0, 0.6)),
-        "clutter": float(u(0.3, 2.5)),
+        "glass": u(0, 1),
+        "mirrors": u(0, 0.6),
+        "clutter": u(0.3, 2.5),
     }
 
 
@@ -263,12 +239,27 @@ def _map_of_scans(random: Random, good: bool, voxel: float) -> dict[str, Any]:
     """Draw drift, and what becomes of the map's points."""
     u = random.uniform
     return {
-        "drift_position": float(np.exp(u(np.log(0.003), np.log(0.02 if good else 0.06)))),
-        "drift_angle": float(u(0.0, 0.1 if good else 0.3)),
-        "jitter_position": float(u(0.0, 0.01)),
-        "jitter_angle": float(u(0.0, 0.05 if good else 0.12)),
-        "loop_gap": float(u(0.03, 0.15)) if random.random() < 0.2 else 0.0,
-        "scan_voxel": float(u(0.05, 0.2)) if not good and random.random() < 0.3 else 0.0,
+        "drift_position": _log_uniform(random, 0.003, 0.02 if good else 0.06),
+        "drift_angle": u(0.0, 0.1 if good else 0.3),
+        "jitter_position": u(0.0, 0.01),
+        "jitter_angle": u(0.0, 0.05 if good else 0.12),
+        "loop_gap": u(0.03, 0.15) if random.random() < 0.2 else 0.0,
+        "scan_voxel": u(0.05, 0.2) if not good and random.random() < 0.3 else 0.0,
         "voxel": voxel if not good and random.random() < 0.5 else 0.0,
-        "keep": float(u(0.2, 1.0)) if not good and random.random() < 0.4 else 1.0,
+        "keep": u(0.2, 1.0) if not good and random.random() < 0.4 else 1.0,
     }
+
+
+def _standing(random: Random) -> dict[str, Any]:
+    """Draw who passes by a sensor that stands, and whether its scans need no registration."""
+    drawn: dict[str, Any] = {}
+    if random.random() < 0.6:  # on a tripod: rays meet the same places again and again
+        drawn["range_noise"] = _log_uniform(random, 0.0005, 0.01)
+        drawn["angle_noise"] = random.uniform(0.0, 0.01)
+        still = ("drift_position", "drift_angle", "jitter_position", "jitter_angle")
+        drawn |= dict.fromkeys((*still, "wobble", "loop_gap"), 0.0)
+    return drawn | {"visiting": random.uniform(0, 1) if random.random() < 0.6 else 0.0}
+
+
+def _log_uniform(random: Random, low: float, high: float) -> float:
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))

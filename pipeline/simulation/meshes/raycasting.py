@@ -1,6 +1,6 @@
 """Rays that meet triangles: what stands, what moves, glass that passes and mirrors that turn."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -47,11 +47,6 @@ class Hits(Columns):
     cosine: NDArray[np.float32]  # of the angle between ray and normal
     owner: NDArray[np.int64]  # number of the mover that is met, `STATIC` for none
     mirrored: NDArray[np.bool_]  # whether a mirror turned the ray
-
-    def replaced(self, other: "Hits", where: NDArray[np.bool_]) -> "Hits":
-        """Return these hits, but others where told."""
-        names = [field.name for field in fields(self)]
-        return Hits(*(np.where(where, getattr(other, name), getattr(self, name)) for name in names))
 
 
 class Target:

@@ -80,18 +80,12 @@ class _Stream(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class MeshMap:
-    """A map, and the truth about it.
-
-    Attributes
-    ----------
-    poses, true_poses : (s, 3, 4) float64 array
-        From the sensor's frame to the map's, as estimated and truly.
-    """
+    """A map, and the truth about it."""
 
     parameters: MeshParameters
     points: Points
-    poses: Floats
-    true_poses: Floats
+    poses: Floats  # (s, 3, 4), from the sensor's frame to the map's, as estimated
+    true_poses: Floats  # and truly
 
 
 class Recording:

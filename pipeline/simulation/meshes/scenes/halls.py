@@ -96,7 +96,7 @@ def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> No
 
 def stairs(stage: Stage, told: MeshParameters) -> None:
     """Build two storeys and stairs, whose well lies along x at y from `y0` to `y0 + broad`."""
-    u = stage.random.uniform
+    random, u = stage.random, stage.random.uniform
     long, wide, storey = u(13, 26), u(8, 16), u(2.9, 3.8)
     broad, run = u(1.5, 2.4), u(0.27, 0.32)
     steps = int(np.ceil(storey / 0.17))
@@ -114,9 +114,17 @@ def stairs(stage: Stage, told: MeshParameters) -> None:
         outer_wall(stage, here, there, 0.0, storey)
         outer_wall(stage, here, there, storey, storey)
     _flight(stage, (x0, y0, broad), steps, run, storey)
+    things: list[Thing] = [
+        lambda stage, at: f.table(stage, at, int(u(2, 7))),
+        *(f.plant, f.bench, f.sofa, f.shelf, f.sign),
+    ]
     for base in (0.0, storey):
         stage.floors.append(Floor(bounds, level(base)))
-        _things(stage, told, long, wide, base, (x0 - 1.5, y0 - 0.8, x1 + 1.5, y0 + broad + 0.8))
+        for _ in range(random.poisson(long * wide / 25 * told.clutter)):
+            x, y = u(0.8, long - 0.8), u(0.8, wide - 0.8)
+            if not (x0 - 1.5 < x < x1 + 1.5 and y0 - 0.8 < y < y0 + broad + 0.8):
+                at = (x, y, base, u(0, 2 * np.pi))
+                stage.pick(things)(stage, at)
     for x in (long * 0.3, long * 0.7):
         pillar(stage, x, u(0.5, 1.0), 2 * storey)
     share = np.linspace(0, 1, 12)[1:-1]
@@ -147,24 +155,6 @@ def _flight(
     f.railing(stage, [x0 - 0.05, y0, storey], [x0 - 0.05, y0 + broad, storey], 1.05)
 
 
-def _things(
-    stage: Stage, told: MeshParameters, long: float, wide: float, base: float,
-    kept_free: tuple[float, float, float, float],
-) -> None:  # fmt: skip
-    random, u = stage.random, stage.random.uniform
-    low_x, low_y, top_x, top_y = kept_free
-    things: list[Thing] = [
-        lambda stage, at: f.table(stage, at, int(u(2, 7))),
-        *(f.plant, f.bench, f.sofa, f.shelf, f.sign),
-    ]
-    for _ in range(random.poisson(long * wide / 25 * told.clutter)):
-        x, y = u(0.8, long - 0.8), u(0.8, wide - 0.8)
-        if low_x < x < top_x and low_y < y < top_y:
-            continue
-        at = (x, y, base, u(0, 2 * np.pi))
-        stage.pick(things)(stage, at)
-
-
 def garage(stage: Stage, told: MeshParameters) -> None:
     """Build a garage: aisles along x with bays on both sides of each."""
     random, u = stage.random, stage.random.uniform
@@ -184,9 +174,9 @@ def garage(stage: Stage, told: MeshParameters) -> None:
         low = number * pitch
         for y, yaw in ((low + _DEEP / 2, np.pi / 2), (low + pitch - _DEEP / 2, -np.pi / 2)):
             _bays(stage, bays, y, yaw, full)
-        x = np.concatenate([xs, xs[::-1], xs[:1]])
+        round_trip = np.concatenate([xs, xs[::-1], xs[:1]])
         aside = np.repeat([-1.2, 1.2, -1.2], [20, 20, 1])
-        line = np.column_stack([x, low + _DEEP + _AISLE / 2 + aside, 0 * x])
+        line = np.column_stack([round_trip, low + _DEEP + _AISLE / 2 + aside, 0 * round_trip])
         stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
     _structure(stage, (long, wide, high), bays, aisles, pitch)
     for _ in range(random.poisson(5 * told.clutter)):
@@ -257,17 +247,6 @@ def warehouse(stage: Stage, told: MeshParameters) -> None:
     for x in (0.5, wide - 0.5):
         for y in np.arange(3, long, 8):
             pillar(stage, x, y, high)
-    _pallets(stage, told, wide, long, apron)
-    low, top = apron * 0.7, long - apron * 0.7
-    for _ in range(3):  # up one aisle and down another
-        x0, x1 = np.array(aisles)[random.choice(len(aisles), 2, replace=False)]
-        line = np.array([[x0, low, 0], [x0, top, 0], [x1, top, 0], [x1, low, 0], [x0, low, 0]])
-        stage.lanes.append(Lane(line, ("forklift", "forklift", "robot"), (0.8, 2.5), closed=True))
-
-
-def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron: float) -> None:
-    """Put pallets, cartons and work places on the aprons, and people's desks at a wall."""
-    random, u = stage.random, stage.random.uniform
     for _ in range(random.poisson(0.35 * wide * told.clutter)):
         near = random.random() < 0.5
         y = u(0.8, apron - 1.6) if near else long - u(0.8, apron - 1.6)
@@ -282,3 +261,8 @@ def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron
     if random.random() < 0.5:
         y = apron - 0.6
         f.railing(stage, [u(1, wide / 2), y, 0], [wide / 2 + 2, y, 0], 1.1)
+    low, top = apron * 0.7, long - apron * 0.7
+    for _ in range(3):  # up one aisle and down another
+        x0, x1 = np.array(aisles)[random.choice(len(aisles), 2, replace=False)]
+        line = np.array([[x0, low, 0], [x0, top, 0], [x1, top, 0], [x1, low, 0], [x0, low, 0]])
+        stage.lanes.append(Lane(line, ("forklift", "forklift", "robot"), (0.8, 2.5), closed=True))

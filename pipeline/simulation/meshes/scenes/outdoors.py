@@ -25,11 +25,11 @@ def street(stage: Stage, told: MeshParameters) -> None:
     pavements = [u(2.0, 5.0), u(2.0, 5.0)]
     slope = u(-0.04, 0.04) if random.random() < 0.6 else 0.0
     green = u(0.3, 1.0) if random.random() < 0.5 else 0.2  # gardens instead of houses
-    x = np.linspace(-60, long + 60, 60)
+    along = np.linspace(-60, long + 60, 60)
     north, south = (half + wide + 25 for wide in pavements)
     across = [-south, -half - 0.01, -half, half, half + 0.01, north]
-    rise = slope * x[:, None] + [_KERB, _KERB, 0, 0, _KERB, _KERB]
-    ground = np.stack([*np.broadcast_arrays(x[:, None], across, rise)], axis=-1)
+    rise = slope * along[:, None] + [_KERB, _KERB, 0, 0, _KERB, _KERB]
+    ground = np.stack([*np.broadcast_arrays(along[:, None], across, rise)], axis=-1)
     stage.mesh(sheet(ground), Surface.FLOOR, albedo=u(0.1, 0.4))
     for side, wide in zip((1.0, -1.0), pavements, strict=True):
         inner, outer = half, half + wide
