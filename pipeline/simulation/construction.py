@@ -30,7 +30,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A hole in a wall: a door, or a pane that rays pass."""
+    """A hole in a wall, from start to end along it: a door, or a pane that rays pass."""
 
     start: float
     end: float
@@ -44,19 +44,9 @@ def door(start: float) -> Opening:
     return Opening(start, start + 1.0, 0.0, DOOR_HEIGHT, glazed=False)
 
 
-def passage(start: float, end: float) -> Opening:
-    """Return a wide way through without a door."""
-    return Opening(start, end, 0.0, 2.5, glazed=False)
-
-
-def window(start: float, end: float) -> Opening:
-    """Return a window over a parapet."""
-    return Opening(start, end, 0.9, 2.3, glazed=True)
-
-
-def glass_wall(start: float, end: float) -> Opening:
-    """Return a pane from the floor almost to the ceiling."""
-    return Opening(start, end, 0.1, 2.7, glazed=True)
+passage = partial(Opening, bottom=0.0, top=2.5, glazed=False)  # a wide way through
+window = partial(Opening, bottom=0.9, top=2.3, glazed=True)  # over a parapet
+glass_wall = partial(Opening, bottom=0.1, top=2.7, glazed=True)  # from the floor almost to the top
 
 
 @dataclass(slots=True)
@@ -90,17 +80,11 @@ class Builder:
         self.box_surfaces.append(surface)
 
     def cylinder(
-        self,
-        x: float,
-        y: float,
-        radius: float,
-        top: float,
-        surface: Surface = Surface.FURNITURE,
-        bottom: float = 0.0,
+        self, x: float, y: float, radius: float, z: Span, surface: Surface = Surface.FURNITURE
     ) -> None:
-        """Add an upright cylinder, which stands on the floor if not told otherwise."""
+        """Add an upright cylinder about an axis, from its bounds above the floor."""
         floor = self.base + self.slope * x
-        self.cylinders.append((x, y, radius, floor + bottom, floor + top))
+        self.cylinders.append((x, y, radius, floor + z[0], floor + z[1]))
         self.cylinder_surfaces.append(surface)
 
     def floor(self, x: Span, y: Span) -> None:
@@ -140,7 +124,7 @@ class Builder:
 
     def pillar(self, x: float, y: float, height: float = HEIGHT) -> None:
         """Add a round pillar from the floor to the ceiling."""
-        self.cylinder(x, y, 0.3, height, Surface.WALL)
+        self.cylinder(x, y, 0.3, (0.0, height), Surface.WALL)
 
     def cabinet(self, x: Span, y: Span, top: float) -> None:
         """Add a closed piece of furniture that stands on the floor."""
@@ -157,7 +141,7 @@ class Builder:
     def chair(self, x: float, y: float, back: float) -> None:
         """Add a chair about (x, y): a seat on one foot, its back at y + `back`."""
         self.box((x - 0.22, x + 0.22), (y - 0.22, y + 0.22), (0.42, 0.47))
-        self.cylinder(x, y, 0.06, 0.42)
+        self.cylinder(x, y, 0.06, (0.0, 0.42))
         self.box((x - 0.22, x + 0.22), (y + back - 0.02, y + back + 0.02), (0.47, 0.95))
 
     def desk(self, x: float, y: float) -> None:
@@ -174,8 +158,8 @@ class Builder:
 
     def plant(self, x: float, y: float) -> None:
         """Add a plant in a pot, 0.7 by 0.7 about (x, y)."""
-        self.cylinder(x, y, 0.18, 0.4)
-        self.cylinder(x, y, 0.3, 1.5, Surface.VEGETATION, bottom=0.4)
+        self.cylinder(x, y, 0.18, (0.0, 0.4))
+        self.cylinder(x, y, 0.3, (0.4, 1.5), Surface.VEGETATION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,14 +190,9 @@ PILLAR = Piece(0.6, 0.6, Builder.pillar)
 
 
 class Furnisher:
-    """Places furniture in rooms, away from ways and from each other.
+    """Places furniture in rooms, away from the ways of a scene and from each other.
 
-    Parameters
-    ----------
-    scene : Scene
-        Whose ways stay free.
-    rounds : bool, optional
-        Whether the rounds of the machines and of those who queue are among them.
+    `rounds` says whether those of the machines and of who queues are among them.
     """
 
     def __init__(

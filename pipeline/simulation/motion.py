@@ -13,17 +13,10 @@ import numpy as np
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.points import Floats, Random
 
-TURN_RATE = np.radians(90.0)
-"""How fast the robot turns on the spot, in radians per second."""
-
-TILT_RATE = 0.2
-"""How fast it takes on the slope of a ramp, in rise over distance per second."""
-
-CLEARANCE = 0.9
-"""How far people keep from the robot, axis to axis, in metres."""
-
-DRIFT_SECONDS = 10.0
-"""Time over which the error of the estimated pose is forgotten."""
+TURN_RATE = np.radians(90.0)  # how fast the robot turns on the spot, in radians per second
+TILT_RATE = 0.2  # how fast it takes on the slope of a ramp, in rise over distance per second
+CLEARANCE = 0.9  # how far people keep from the robot, axis to axis, in metres
+DRIFT_SECONDS = 10.0  # time over which the error of the estimated pose is forgotten
 
 _STOREY = 2.0  # metres; nobody makes way for what is farther above or below
 

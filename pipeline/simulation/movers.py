@@ -9,17 +9,10 @@ from pipeline.simulation.motion import CLEARANCE, Trajectory, drive, keep_clear
 from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Scene, Shapes, Surface, Walkways
 
-WALKING_SPEED = (0.9, 1.6)
-"""Slowest and fastest walker, in metres per second."""
-
-STOP_PROBABILITY = 0.25
-"""How often a walker stops at a place."""
-
-STOP_SECONDS = (2.0, 8.0)
-"""Shortest and longest stop."""
-
-SERVICE_SECONDS = (8.0, 16.0)
-"""Shortest and longest time that the counter takes for one person."""
+WALKING_SPEED = (0.9, 1.6)  # slowest and fastest walker, in metres per second
+STOP_PROBABILITY = 0.25  # how often a walker stops at a place
+STOP_SECONDS = (2.0, 8.0)  # shortest and longest stop
+SERVICE_SECONDS = (8.0, 16.0)  # shortest and longest time that the counter takes for one person
 
 _MACHINE_CLEARANCE = 0.35  # metres between a machine's farthest corner and a person's axis
 

@@ -14,13 +14,12 @@ import pyarrow.parquet as pq
 import yaml
 
 from pipeline.errors import OutputError
-from pipeline.simulation.campus import simulate_scans
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters, nothing_seen
 from pipeline.simulation.points import Points
+from pipeline.simulation.scans import SimulatedScan, simulate_scans
 from pipeline.simulation.scene import Surface
-from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import create_file, writing_only_into
 
 POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "intensity")),
@@ -42,8 +41,7 @@ POINTS {points}
 DATA binary
 """
 
-POINTS_IN_MEMORY = 250_000
-"""Points whose truth is gathered before it is written."""
+POINTS_IN_MEMORY = 250_000  # points whose truth is gathered before it is written
 
 _HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be written at the end
 

@@ -7,11 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.scene import SceneKind
 
-RINGS = 16
-"""Lasers of the sensor."""
-
-POINTS_OF_A_BLOCK = 1_000_000
-"""Most points that one block of scene gives to a map of a given size."""
+RINGS = 16  # lasers of the sensor
+POINTS_OF_A_BLOCK = 1_000_000  # most points that one block of scene gives to a map of a given size
 
 
 def key(default: Any, description: str, **limits: Any) -> Any:

@@ -35,7 +35,9 @@ def street_scene(random: Random, glass: bool = True) -> Scene:
     for half, (base, rise) in enumerate(((0.0, slope), (slope * LENGTH, -slope))):
         x = (LENGTH / 2 * half, LENGTH / 2 * (half + 1))
         with builder.on(base, rise):
-            _add_ground(builder, x)
+            builder.floor(x, (_MIDDLE - _ROAD, _MIDDLE + _ROAD))
+            for side in (-1, 1):
+                builder.box(x, _between(side, _ROAD, WIDTH / 2), (-0.3, _KERB), Surface.FLOOR)
             for side in (-1, 1):
                 _add_houses(builder, x, side, random)
                 _add_trees_and_lamps(builder, x, side, random)
@@ -81,21 +83,14 @@ def _on_hill(corners: list[tuple[float, float, float]], slope: float) -> Floats:
     return points
 
 
-def _add_ground(builder: Builder, x: Span) -> None:
-    """Add the road, and the pavements behind their kerbs."""
-    builder.floor(x, (_MIDDLE - _ROAD, _MIDDLE + _ROAD))
-    for side in (-1, 1):
-        y = sorted((_MIDDLE + side * _ROAD, _MIDDLE + side * WIDTH / 2))
-        builder.box(x, (y[0], y[1]), (-0.3, _KERB), Surface.FLOOR)
+def _between(side: int, near: float, far: float) -> Span:
+    """Return y on one side of the road, from the middle's distance to something."""
+    low, high = sorted((_MIDDLE + side * near, _MIDDLE + side * far))
+    return low, high
 
 
 def _add_houses(builder: Builder, x: Span, side: int, random: Random) -> None:
     """Add houses side by side, each with its own height, set-back, and windows."""
-
-    def between(near: float, far: float) -> Span:
-        y = sorted((_MIDDLE + side * near, _MIDDLE + side * far))
-        return y[0], y[1]
-
     start = x[0]
     while start < x[1]:
         end = start + random.uniform(8.0, 16.0)
@@ -105,22 +100,24 @@ def _add_houses(builder: Builder, x: Span, side: int, random: Random) -> None:
         height = random.uniform(6.0, 14.0)
         storeys = np.arange(_KERB, height - 2.5, 3.0)
         # Windows are recesses 0.3 m deep; the ground floor's let rays into a room behind them.
-        back = between(front + 0.3, WIDTH / 2)
+        back = _between(side, front + 0.3, WIDTH / 2)
         rooms = builder.glass and random.random() < 0.5
         first = 3.0 if rooms else _KERB
         builder.box((start, end), back, (first, height), Surface.WALL)
         if rooms:
-            builder.box((start, end), between(front + 3.0, WIDTH / 2), (0.0, 3.0), Surface.WALL)
-            deep = between(front + 0.3, front + 3.0)
+            builder.box(
+                (start, end), _between(side, front + 3.0, WIDTH / 2), (0.0, 3.0), Surface.WALL
+            )
+            deep = _between(side, front + 0.3, front + 3.0)
             for side_wall in (start, end - 0.2):
                 builder.box((side_wall, side_wall + 0.2), deep, (0.0, 3.0), Surface.WALL)
         for bottom, top in pairwise([*storeys, height]):
             for strip in ((bottom, bottom + 0.9), (bottom + 2.3, top)):
-                builder.box((start, end), between(front, front + 0.3), strip, Surface.WALL)
+                builder.box((start, end), _between(side, front, front + 0.3), strip, Surface.WALL)
         columns = max(2, round((end - start) / 3.0) + 1)
         for middle in np.linspace(start + 0.3, end - 0.3, columns):
             column = (middle - 0.3, middle + 0.3)
-            builder.box(column, between(front, front + 0.3), (_KERB, height), Surface.WALL)
+            builder.box(column, _between(side, front, front + 0.3), (_KERB, height), Surface.WALL)
         start = end
 
 
@@ -133,7 +130,9 @@ def _add_trees_and_lamps(builder: Builder, x: Span, side: int, random: Random) -
         if side > 0 and 26.0 < place < 38.0:  # the kiosk and its queue
             continue
         trunk = random.uniform(2.4, 3.2)
-        builder.cylinder(place, y, random.uniform(0.12, 0.25), trunk + 1.0, Surface.VEGETATION)
+        builder.cylinder(
+            place, y, random.uniform(0.12, 0.25), (0.0, trunk + 1.0), Surface.VEGETATION
+        )
         clumps = random.normal(size=(30, 3)) * [1.0, 1.0, 0.8] + [place, y, trunk + 1.6]
         clumps[:, 2] = np.maximum(clumps[:, 2], 2.4)  # people walk under them
         for clump, size in zip(clumps, random.uniform(0.1, 0.4, len(clumps)), strict=True):
@@ -141,7 +140,7 @@ def _add_trees_and_lamps(builder: Builder, x: Span, side: int, random: Random) -
             wide, deep, high = ((middle - size, middle + size) for middle in clump)
             builder.box(wide, deep, high, Surface.VEGETATION)
     for place in (x[0] + 11.0, x[0] + 51.0):
-        builder.cylinder(place, y, 0.08, 5.0)
+        builder.cylinder(place, y, 0.08, (0.0, 5.0))
 
 
 def _add_parked_cars(builder: Builder, along: Span, side: int, random: Random) -> None:

@@ -10,21 +10,19 @@ import numpy as np
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import glass_wall, passage, window
 from pipeline.simulation.movers import automated_vehicle, forklift
-from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.points import Random
 from pipeline.simulation.scene import Place, Scene, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall
 
-STOREY = 3.2
-"""Height of the upper floor of the two storeys above the lower one."""
+STOREY = 3.2  # height of the upper floor of the two storeys above the lower one
 
 _LANE = 4.0  # width of the ramp's lane, along the south side
 _LANDING = 2.5  # length of the flat part at either end of the lane
 _UPSTAIRS = c.Room((_WALL, LENGTH - _WALL), (_LANE + _WALL, WIDTH - _WALL))
 
-PLATFORM = 1.2
-"""Height of the loading hall's platform above its floor."""
+PLATFORM = 1.2  # height of the loading hall's platform above its floor
 
 _FOOT, _EDGE = 10.0, 20.0  # x at which its ramp begins, and at which the platform does
 _RAMP = (7.5, 16.5)  # y of its sides
@@ -37,11 +35,22 @@ def storeys_scene(random: Random, glass: bool = True) -> Scene:
     The ramp rises by 3.2 m over 25 m: 12.8 %. The robot goes up it and down again, people too.
     Panes let rays pass; without `glass` they are solid walls.
     """
+    lane, inside, north = _LANE / 2, _LANE + 2.5, WIDTH - 3.0
+    west, east = 1.4, LENGTH - 1.4
+    foot, head = (_LANDING, lane), (LENGTH - _LANDING, lane)
+    lower = [
+        (west, lane), (west, inside), (west, north), (24.0, north), (24.0, inside),
+        (west, inside), (west, lane), foot,
+    ]  # fmt: skip
+    upper = [
+        head, (east, lane), (east, inside), (east, north), (5.0, north), (5.0, inside),
+        (east, inside), (east, lane), head,
+    ]  # fmt: skip
     scene = Scene(
         walkways=_ways_of_storeys(),
         queue=on_floor([(26.5, 19.0 - 0.8 * slot) for slot in range(6)]),
         queue_return=on_floor([(27.8, 19.0), (27.8, 14.4)]),
-        robot_route=_route_of_storeys(),
+        robot_route=np.concatenate([on_floor(lower), on_floor(upper, STOREY), on_floor([foot])]),
         machine_route=on_floor([(5.5, 10.0), (20.0, 10.0), (20.0, 18.0), (5.5, 18.0)]),
         machines=(automated_vehicle, forklift),
         machine_speed=1.0,
@@ -57,22 +66,6 @@ def storeys_scene(random: Random, glass: bool = True) -> Scene:
         _furnish_storey(c.Furnisher(builder, random, scene, rounds=False), random)
     scene = replace(scene, shapes=builder.shapes())
     return scene.mirrored(0) if random.random() < 0.5 else scene
-
-
-def _route_of_storeys() -> Floats:
-    """Return the route: about the lower hall, up the ramp, about the upper hall, and down."""
-    lane, inside, north = _LANE / 2, _LANE + 2.5, WIDTH - 3.0
-    west, east = 1.4, LENGTH - 1.4
-    foot, head = (_LANDING, lane), (LENGTH - _LANDING, lane)
-    lower = [
-        (west, lane), (west, inside), (west, north), (24.0, north), (24.0, inside),
-        (west, inside), (west, lane), foot,
-    ]  # fmt: skip
-    upper = [
-        head, (east, lane), (east, inside), (east, north), (5.0, north), (5.0, inside),
-        (east, inside), (east, lane), head,
-    ]  # fmt: skip
-    return np.concatenate([on_floor(lower), on_floor(upper, STOREY), on_floor([foot])])
 
 
 def _furnish_storey(furnisher: c.Furnisher, random: Random) -> None:
@@ -158,14 +151,17 @@ def ramp_scene(random: Random, glass: bool = True) -> Scene:
     The machines drive over the ramp, as the robot and the people do. Panes let rays pass; without
     `glass` they are solid walls.
     """
-    up, down = _over(12.6), _over(15.4)[::-1]
+    up, lane, back = (on_floor([(_FOOT, y, 0.0), (_EDGE, y, PLATFORM)]) for y in (8.6, 12.6, 15.4))
+    lower = on_floor([(2.0, 3.0), (7.0, 3.0), (7.0, 8.6)])
+    upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]
+    home = on_floor([(7.0, 8.6), (7.0, 22.0), (2.0, 22.0)])
     turn = [(25.0, 12.6, PLATFORM), (25.0, 15.4, PLATFORM)]
     scene = Scene(
         walkways=_ways_of_hall(),
         queue=on_floor([(15.5 - 0.8 * slot, 4.0) for slot in range(6)]),
         queue_return=on_floor([(15.5, 5.4), (10.9, 5.4)]),
-        robot_route=_route_of_hall(),
-        machine_route=on_floor([(4.5, 12.6), *up, *turn, *down, (4.5, 15.4)]),
+        robot_route=np.concatenate([lower, up, on_floor(upper, PLATFORM), up[::-1], home]),
+        machine_route=on_floor([(4.5, 12.6), *lane, *turn, *back[::-1], (4.5, 15.4)]),
         machines=(forklift, automated_vehicle),
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
@@ -186,21 +182,6 @@ def ramp_scene(random: Random, glass: bool = True) -> Scene:
             furnisher.free_standing(room, _PALLET, int(random.integers(4, 9)))
     scene = replace(scene, shapes=builder.shapes())
     return scene.mirrored(0) if random.random() < 0.5 else scene
-
-
-def _over(y: float) -> list[tuple[float, float, float]]:
-    """Return the ends of a way up the ramp."""
-    return [(_FOOT, y, 0.0), (_EDGE, y, PLATFORM)]
-
-
-def _route_of_hall() -> Floats:
-    """Return the route: past the queue, up the ramp, about the platform, down, and back."""
-    lower = [(2.0, 3.0), (7.0, 3.0), (7.0, 8.6)]
-    upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]
-    back = [(7.0, 8.6), (7.0, 22.0), (2.0, 22.0)]
-    up = on_floor(_over(8.6))
-    ways = (on_floor(lower), up, on_floor(upper, PLATFORM), up[::-1], on_floor(back))
-    return np.concatenate(ways)
 
 
 def _add_hall(builder: c.Builder) -> None:

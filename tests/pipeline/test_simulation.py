@@ -16,12 +16,12 @@ from pipeline.simulation import (
     SimulationParameters,
     Surface,
     build_scene,
-    campus,
+    scans,
     simulate,
     simulate_scans,
 )
 from pipeline.simulation.motion import drift
-from pipeline.simulation.simulate import RING_ELEVATIONS, Drive, measured_ranges, rotation
+from pipeline.simulation.scans import RING_ELEVATIONS, Drive, measured_ranges, rotation
 
 SHORT = {"scans": 40, "rotations_per_scan": 15}
 EXACT = {"range_noise": 0, "range_resolution": 0, "drift_position": 0, "drift_heading": 0}
@@ -303,7 +303,7 @@ def test_ghosts_are_less_dense_than_what_stands_still(seed):
 
 
 def few_points_a_block(monkeypatch, points):
-    monkeypatch.setattr(campus, "POINTS_OF_A_BLOCK", points)
+    monkeypatch.setattr(scans, "POINTS_OF_A_BLOCK", points)
 
 
 @pytest.mark.parametrize("points", [1, 17, 999, 5000, 12_345])
@@ -343,7 +343,7 @@ def test_sensor_that_sees_nothing_is_one_clear_line():
 
 
 def test_sensor_that_hardly_sees_anything_is_given_up(monkeypatch):
-    monkeypatch.setattr(campus, "_LONGEST", 0.1)
+    monkeypatch.setattr(scans, "_LONGEST", 0.1)
     with pytest.raises(
         ConfigurationError, match=r"expected 5000 from a block, found \d+ in 4 scans"
     ):

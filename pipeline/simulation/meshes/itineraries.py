@@ -10,8 +10,7 @@ from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Guide, Walkways
 from pipeline.simulation.points import Floats, Random
 
-STEP = 0.1
-"""Time between two samples of a track, in seconds."""
+STEP = 0.1  # time between two samples of a track, in seconds
 
 _UNREST = 3.0 / STEP  # steps over which one who stands forgets how he shifted
 
@@ -40,11 +39,6 @@ class Track:
     pace: Floats  # in metres per second
     sitting: Floats  # 0 standing, 1 sitting
     seat: Floats  # its height, in metres
-
-    @property
-    def travelled(self) -> float:
-        """The farthest that it ever is from where it began, in metres."""
-        return float(np.linalg.norm(self.place - self.place[0], axis=1).max())
 
 
 def follow(

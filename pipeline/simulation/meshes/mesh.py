@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.simulation.points import Floats, Random
 
-Rows: TypeAlias = ArrayLike | Sequence[Any]
-"""A table of numbers, in whatever lists it was written."""
+Rows: TypeAlias = ArrayLike | Sequence[Any]  # a table of numbers, in whatever lists it was written
 
 _BOX_CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
 _BOX_TRIANGLES = np.array(

@@ -23,8 +23,7 @@ from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
 
-STANDS = 0.35
-"""Who never gets farther than this from where he began has no honest truth, in metres."""
+STANDS = 0.35  # who never gets farther than this from where he began has no honest truth, in metres
 
 _AWAY = np.array([0.0, 0.0, -1000.0])
 _PUSHED = 0.75
@@ -153,7 +152,8 @@ def populate(
         rigid.append(_driver(driven[int(random.integers(len(driven)))], duration, random))
     rigid += _doors(stage, duration, random, parameters.vehicles)
     total = len(tracks) + len(rigid)
-    changes = [track.travelled > STANDS for track in tracks] + [True] * len(rigid)
+    away = [np.linalg.norm(track.place - track.place[0], axis=1).max() for track in tracks]
+    changes = [farthest > STANDS for farthest in away] + [True] * len(rigid)
     return Movers(
         bodies=draw_bodies(random, len(tracks), float(random.uniform(0.1, 0.7))),
         tracks=tuple(tracks),

@@ -50,13 +50,7 @@ class Hits(Columns):
 
 
 class Target:
-    """Triangles that rays are cast at.
-
-    Parameters
-    ----------
-    owner : (t,) int64 array, optional
-        The mover each triangle belongs to; all stand still if not given.
-    """
+    """Triangles that rays are cast at, and the mover that each belongs to, if any moves."""
 
     def __init__(self, body: Body, owner: NDArray[np.int64] | None = None) -> None:
         self._package = open3d()

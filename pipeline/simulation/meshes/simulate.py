@@ -17,7 +17,7 @@ from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
 from pipeline.simulation.parameters import nothing_seen
 from pipeline.simulation.points import Floats, Points, Random
-from pipeline.simulation.simulate import SimulatedScan, ray_directions
+from pipeline.simulation.scans import SimulatedScan, ray_directions
 
 _RINGS = {  # of Velodyne's VLP-16, HDL-32E and HDL-64E (its lower half is coarser), and OS1-64
     SensorKind.VLP16: np.linspace(-15.0, 15.0, 16),
@@ -123,8 +123,13 @@ class Recording:
         origins = true[:, 3] + share[:, None] / told.rate * self.drive.velocity[number]
         aimed = directions @ true[:, :3].T
         hits, other = self._cast(number, (origins, aimed), movers, random)
-        met = self._returned(hits, random)
-        distance = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
+        met = np.isfinite(hits.distance)
+        distance = np.where(met, hits.distance, 0.0)
+        # Not those that are lost at random, grazed, dark or far.
+        near = np.minimum(1.0, (0.25 * told.max_range / np.maximum(distance, 0.1)) ** 2)
+        signal = told.sensitivity * hits.albedo * hits.cosine * near
+        chance = np.minimum(1.0, signal / _FULL_SIGNAL) * (1 - told.dropouts)
+        met &= random.random(len(met)) < chance
         apart = np.where(np.isfinite(other.distance), other.distance - distance, 0.0)
         between = met & (np.abs(apart) > _EDGE)
         mix = np.where(between, random.random(len(met)), 0.0)
@@ -186,16 +191,6 @@ class Recording:
         other = own.copy()
         other[halves] = len(aimed) + np.arange(len(halves))
         return hits.take(own), hits.take(other)
-
-    def _returned(self, hits: Hits, random: Random) -> NDArray[np.bool_]:
-        """Say which rays return: not those that are lost at random, grazed, dark or far."""
-        told = self.parameters
-        distance = np.where(np.isfinite(hits.distance), hits.distance, 1e6)
-        near = np.minimum(1.0, (0.25 * told.max_range / np.maximum(distance, 0.1)) ** 2)
-        signal = told.sensitivity * hits.albedo * hits.cosine * near
-        chance = np.minimum(1.0, signal / _FULL_SIGNAL) * (1 - told.dropouts)
-        returned: NDArray[np.bool_] = random.random(len(distance)) < chance
-        return returned & np.isfinite(hits.distance)
 
 
 def _unit(vectors: Floats) -> Floats:

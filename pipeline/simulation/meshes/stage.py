@@ -14,14 +14,9 @@ from pipeline.simulation.scene import Surface
 
 T = TypeVar("T")
 
-At: TypeAlias = tuple[float, float, float, float]
-"""Where something stands: x, y, z and its yaw."""
-
-Thing: TypeAlias = Callable[["Stage", At], None]
-"""What puts something somewhere."""
-
-Height: TypeAlias = Callable[[Floats, Floats], Floats]
-"""The height of a floor at some x and y."""
+At: TypeAlias = tuple[float, float, float, float]  # where something stands: x, y, z and its yaw
+Thing: TypeAlias = Callable[["Stage", At], None]  # what puts something somewhere
+Height: TypeAlias = Callable[[Floats, Floats], Floats]  # the height of a floor at some x and y
 
 
 class Matter(IntEnum):

@@ -178,7 +178,22 @@ def garage(stage: Stage, told: MeshParameters) -> None:
         aside = np.repeat([-1.2, 1.2, -1.2], [20, 20, 1])
         line = np.column_stack([round_trip, low + _DEEP + _AISLE / 2 + aside, 0 * round_trip])
         stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
-    _structure(stage, (long, wide, high), bays, aisles, pitch)
+    deep = u(0.2, 0.45)  # of beams, between every third bay
+    for x in np.arange(_AISLE, _AISLE + bays * _BAY + 0.1, 3 * _BAY):
+        stage.block([x - 0.15, 0, high - deep], [x + 0.15, wide, high], Surface.CEILING)
+        for number in range(aisles):
+            for y in (number * pitch + _DEEP - 0.2, (number + 1) * pitch - _DEEP + 0.2):
+                stage.block([x - 0.2, y - 0.2, 0], [x + 0.2, y + 0.2, high], Surface.WALL)
+    top = high - 0.12
+    pipes = [[[1, y, top], [long - 1, y, top]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
+    stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
+    if random.random() < 0.6:
+        y = (aisles - 1) * pitch + _DEEP
+        x = np.linspace(long - 5.9, long - 0.3, 12)
+        up = (x - x[0]) * 0.15
+        ramp = np.stack([np.column_stack([x, 0 * x + y + edge, up]) for edge in (1, 5)], axis=1)
+        stage.mesh(sheet(ramp), Surface.FLOOR)
+        stage.block([x[0], y + 5, 0], [x[-1], y + 5.15, 1.1], Surface.WALL)
     for _ in range(random.poisson(5 * told.clutter)):
         x, side = u(1, long - 1), random.random() < 0.5
         at = (x, 0.5 if side else wide - 0.5, 0.0, np.pi / 2 if side else -np.pi / 2)
@@ -195,31 +210,6 @@ def _bays(stage: Stage, bays: int, y: float, yaw: float, full: float) -> None:
             mesh = VEHICLES[kind](random)
             if mesh.vertices[:, 2].max() < 2.15:
                 stage.mesh(mesh, Surface.VEHICLE, (x, y + u(-0.2, 0.2), 0, turn), u(0.05, 0.7))
-
-
-def _structure(
-    stage: Stage, size: tuple[float, float, float], bays: int, aisles: int, pitch: float
-) -> None:
-    """Build pillars between every third bay, beams, pipes, lamps, and a ramp at one end."""
-    random, u = stage.random, stage.random.uniform
-    long, wide, high = size
-    deep = u(0.2, 0.45)
-    for x in np.arange(_AISLE, _AISLE + bays * _BAY + 0.1, 3 * _BAY):
-        stage.block([x - 0.15, 0, high - deep], [x + 0.15, wide, high], Surface.CEILING)
-        for number in range(aisles):
-            for y in (number * pitch + _DEEP - 0.2, (number + 1) * pitch - _DEEP + 0.2):
-                stage.block([x - 0.2, y - 0.2, 0], [x + 0.2, y + 0.2, high], Surface.WALL)
-    top = high - 0.12
-    pipes = [[[1, y, top], [long - 1, y, top]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
-    stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
-    if random.random() < 0.6:
-        y = (aisles - 1) * pitch + _DEEP
-        x = np.linspace(long - 5.9, long - 0.3, 12)
-        ramp = np.empty((12, 2, 3))
-        ramp[..., 0], ramp[..., 1] = x[:, None], [y + 1, y + 5]
-        ramp[..., 2] = ((x - x[0]) * 0.15)[:, None]
-        stage.mesh(sheet(ramp), Surface.FLOOR)
-        stage.block([x[0], y + 5, 0], [x[-1], y + 5.15, 1.1], Surface.WALL)
 
 
 def warehouse(stage: Stage, told: MeshParameters) -> None:
