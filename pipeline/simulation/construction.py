@@ -126,10 +126,6 @@ class Builder:
         """Add a round pillar from the floor to the ceiling."""
         self.cylinder(x, y, 0.3, (0.0, height), Surface.WALL)
 
-    def cabinet(self, x: Span, y: Span, top: float) -> None:
-        """Add a closed piece of furniture that stands on the floor."""
-        self.box(x, y, (0.0, top))
-
     def table(self, x: float, y: float, length: float = 1.6, depth: float = 0.8) -> None:
         """Add a table about (x, y): a thin top on four legs."""
         half_x, half_y, leg = length / 2, depth / 2, 0.05
@@ -209,6 +205,11 @@ class Furnisher:
         """Keep furniture out of a rectangle, such as one that stands there already."""
         self._taken.append((x[0], y[0], x[1], y[1]))
 
+    def cabinet(self, x: Span, y: Span, top: float) -> None:
+        """Build a closed piece of furniture in a given place."""
+        self._builder.box(x, y, (0.0, top))
+        self.take(x, y)
+
     def free_standing(self, room: Room, piece: Piece, count: int) -> None:
         """Place up to `count` pieces anywhere in a room, as far as there is space."""
         for _ in range(count):
@@ -235,9 +236,11 @@ class Furnisher:
                 x, y = (near_wall, middle) if side < 2 else (middle, near_wall)
                 size_x, size_y = (depth, length) if side < 2 else (length, depth)
                 if self._claim(room, x, y, size_x, size_y):
-                    self._builder.cabinet(
-                        (x - size_x / 2, x + size_x / 2), (y - size_y / 2, y + size_y / 2), top
+                    box_x, box_y = (
+                        (x - size_x / 2, x + size_x / 2),
+                        (y - size_y / 2, y + size_y / 2),
                     )
+                    self._builder.box(box_x, box_y, (0.0, top))
                     break
 
     def _claim(self, room: Room, x: float, y: float, length: float, depth: float) -> bool:

@@ -40,13 +40,6 @@ class _Plan:
         return self.hall_north + _CORRIDOR
 
     @property
-    def northern_rooms(self) -> list[c.Room]:
-        """The rooms north of the corridor, from west to east."""
-        y = (self.corridor_north + _WALL, WIDTH - _WALL)
-        walls = pairwise((0.0, *self.dividers, LENGTH))
-        return [c.Room((west + _WALL, east - _WALL), y) for west, east in walls]
-
-    @property
     def pillars(self) -> list[tuple[float, float]]:
         """X and y of the pillars of the hall."""
         return [(x, y) for x in (5.6, self.hall_east - 5.3) for y in (5.6, 8.6)]
@@ -120,10 +113,9 @@ def _furnish_hall(builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, rando
     """Add the counter, and furniture in the hall and the corridor."""
     for x, y in plan.pillars:
         furnisher.take((x - 0.4, x + 0.4), (y - 0.4, y + 0.4))
-    counter = (_QUEUE_X - 1.5, _QUEUE_X + 1.1)
-    builder.cabinet(counter, (_COUNTER_Y, _COUNTER_Y + 0.6), 1.05)
-    builder.cabinet((_QUEUE_X - 1.0, _QUEUE_X - 0.6), (_COUNTER_Y + 0.1, _COUNTER_Y + 0.4), 1.4)
-    furnisher.take(counter, (_COUNTER_Y, _COUNTER_Y + 0.6))
+    furnisher.cabinet((_QUEUE_X - 1.5, _QUEUE_X + 1.1), (_COUNTER_Y, _COUNTER_Y + 0.6), 1.05)
+    till = (_QUEUE_X - 1.0, _QUEUE_X - 0.6), (_COUNTER_Y + 0.1, _COUNTER_Y + 0.4)
+    builder.box(*till, (0.0, 1.4))
     hall = c.Room((_WALL, plan.hall_east - _WALL), (_WALL, plan.hall_north - _WALL))
     furnisher.free_standing(hall, c.SEATS, int(random.integers(2, 5)))
     furnisher.along_walls(hall, int(random.integers(3, 7)), (1.2, 3.0), 0.8, (0.4, 2.0))
@@ -138,7 +130,10 @@ def _furnish_hall(builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, rando
 def _furnish_rooms(furnisher: c.Furnisher, plan: _Plan, random: Random) -> None:
     """Make each room an office, a store or a classroom; a meeting room and a laboratory are set."""
     uses = ("office", "store", "classroom", "office")
-    for room, use in zip(plan.northern_rooms, random.permutation(uses), strict=True):
+    north = (plan.corridor_north + _WALL, WIDTH - _WALL)
+    walls = pairwise((0.0, *plan.dividers, LENGTH))
+    for (x0, x1), use in zip(walls, random.permutation(uses), strict=True):
+        room = c.Room((x0 + _WALL, x1 - _WALL), north)
         if use == "store":
             furnisher.along_walls(room, 7, (1.5, 2.8), 0.5, (1.8, 2.3))
             continue

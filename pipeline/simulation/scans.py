@@ -155,12 +155,7 @@ def random_stream(parameters: SimulationParameters, block: int, stream: Stream) 
 class Drive:
     """A drive through one block of the scene: whoever is there, and the robot's way.
 
-    Parameters
-    ----------
-    block : int, optional
-        Number of the block.
-    duration : float
-        How long all keep moving, in seconds; what comes after finds everybody standing.
+    All keep moving for `duration` seconds; what comes after finds everybody standing.
     """
 
     def __init__(

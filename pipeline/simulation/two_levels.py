@@ -59,8 +59,7 @@ def storeys_scene(random: Random, glass: bool = True) -> Scene:
     builder = c.Builder(glass)
     _add_building(builder)
     furnisher = c.Furnisher(builder, random, scene)
-    builder.cabinet((25.5, 27.4), (19.7, 20.3), 1.05)
-    furnisher.take((25.5, 27.4), (19.7, 20.3))
+    furnisher.cabinet((25.5, 27.4), (19.7, 20.3), 1.05)
     _furnish_storey(furnisher, random)
     with builder.on(STOREY):
         _furnish_storey(c.Furnisher(builder, random, scene, rounds=False), random)
@@ -136,7 +135,7 @@ def _ways_of_storeys() -> Walkways:
 
 def _add_pallet(builder: c.Builder, x: float, y: float) -> None:
     """Add a pallet with boxes stacked on it."""
-    builder.cabinet((x - 0.6, x + 0.6), (y - 0.4, y + 0.4), 0.15)
+    builder.box((x - 0.6, x + 0.6), (y - 0.4, y + 0.4), (0.0, 0.15))
     builder.box((x - 0.55, x + 0.5), (y - 0.35, y + 0.38), (0.15, 0.9))
     builder.box((x - 0.55, x + 0.1), (y - 0.3, y + 0.3), (0.9, 1.4))
 
@@ -170,8 +169,7 @@ def ramp_scene(random: Random, glass: bool = True) -> Scene:
     _add_hall(builder)
     furnisher = c.Furnisher(builder, random, scene)
     furnisher.take((_FOOT - 1.0, _EDGE), (_RAMP[0] - 0.2, _RAMP[1] + 0.2))
-    builder.cabinet((16.2, 16.8), (2.8, 5.2), 1.05)
-    furnisher.take((16.2, 16.8), (2.8, 5.2))
+    furnisher.cabinet((16.2, 16.8), (2.8, 5.2), 1.05)
     low = c.Room((_WALL, _EDGE - 1.0), (_WALL, WIDTH - _WALL))
     high = c.Room((_EDGE + 1.0, LENGTH - _WALL), (_WALL, WIDTH - _WALL))
     furnisher.free_standing(low, _TALL_PILLAR, 4)

@@ -89,13 +89,7 @@ class MeshMap:
 
 
 class Recording:
-    """A scene, what moves in it, and the way of the sensor.
-
-    Raises
-    ------
-    MissingPackageError
-        When Open3D is not installed.
-    """
+    """A scene, what moves in it, and the way of the sensor."""
 
     def __init__(self, parameters: MeshParameters) -> None:
         self.parameters = parameters
