@@ -71,16 +71,13 @@ def first_moving_hits(
     origins, directions : (n, 3) float64 arrays
         As for `first_hits`.
     """
-    distance = np.full(len(origins), np.inf)
-    index = np.full(len(origins), _NOTHING)
-    if len(shapes.boxes) + len(shapes.cylinders) == 0:
-        return Hits(distance, np.zeros(len(origins), dtype=np.uint8))
-    _cast(
+    distance, index = _cast(
         shapes.boxes, shapes.cylinders, starts, reach, np.ascontiguousarray(frames),
-        firings, origins, directions, distance, index,
+        firings, origins, directions,
     )  # fmt: skip
-    surface = np.concatenate([shapes.box_surface, shapes.cylinder_surface])
-    return Hits(distance, surface[index])
+    # `_NOTHING` is -1: the last of these.
+    surface = [shapes.box_surface, shapes.cylinder_surface, np.zeros(1, np.uint8)]
+    return Hits(distance, np.concatenate(surface)[index])
 
 
 @compiled
@@ -93,11 +90,10 @@ def _cast(
     firings: NDArray[np.int64],
     origins: Floats,
     directions: Floats,
-    distance: Floats,
-    index: NDArray[np.int64],
-) -> None:
-    """Write each ray's nearest distance, and the number of the shape met (boxes come first)."""
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return each ray's nearest distance, and the number of the shape met (boxes come first)."""
     ray = np.empty(6)
+    distance, index = np.empty(len(origins)), np.empty(len(origins), np.int64)
     for number in range(len(origins)):
         dx, dy, dz = directions[number]
         level = max(dx * dx + dy * dy, _ALMOST_ZERO)
@@ -123,6 +119,7 @@ def _cast(
                 if distance_to_cylinder < nearest:
                     nearest, met = distance_to_cylinder, len(boxes) + cylinder
         distance[number], index[number] = nearest, met
+    return distance, index
 
 
 @compiled
