@@ -236,11 +236,8 @@ class Furnisher:
                 x, y = (near_wall, middle) if side < 2 else (middle, near_wall)
                 size_x, size_y = (depth, length) if side < 2 else (length, depth)
                 if self._claim(room, x, y, size_x, size_y):
-                    box_x, box_y = (
-                        (x - size_x / 2, x + size_x / 2),
-                        (y - size_y / 2, y + size_y / 2),
-                    )
-                    self._builder.box(box_x, box_y, (0.0, top))
+                    wide, deep = (x - size_x / 2, x + size_x / 2), (y - size_y / 2, y + size_y / 2)
+                    self._builder.box(wide, deep, (0.0, top))
                     break
 
     def _claim(self, room: Room, x: float, y: float, length: float, depth: float) -> bool:

@@ -187,7 +187,7 @@ def garage(stage: Stage, told: MeshParameters) -> None:
     top = high - 0.12
     pipes = [[[1, y, top], [long - 1, y, top]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
     stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
-    if random.random() < 0.6:
+    if random.random() < 0.6:  # a ramp at one end
         y = (aisles - 1) * pitch + _DEEP
         x = np.linspace(long - 5.9, long - 0.3, 12)
         up = (x - x[0]) * 0.15
@@ -241,7 +241,7 @@ def warehouse(stage: Stage, told: MeshParameters) -> None:
         near = random.random() < 0.5
         y = u(0.8, apron - 1.6) if near else long - u(0.8, apron - 1.6)
         f.pallet(stage, (u(1, wide - 1), y, 0, random.choice([0, np.pi / 2]) + u(-0.1, 0.1)))
-    for _ in range(int(u(1, 4))):
+    for _ in range(int(u(1, 4))):  # work places at a wall
         at = (u(2, wide - 2), 0.8, 0.0, -np.pi / 2)
         f.desk(stage, at, told.clutter)
         f.office_chair(stage, (at[0], 1.5, 0.0, -np.pi / 2))
@@ -252,7 +252,7 @@ def warehouse(stage: Stage, told: MeshParameters) -> None:
         y = apron - 0.6
         f.railing(stage, [u(1, wide / 2), y, 0], [wide / 2 + 2, y, 0], 1.1)
     low, top = apron * 0.7, long - apron * 0.7
-    for _ in range(3):  # up one aisle and down another
+    for _ in range(3):  # forklifts go up one aisle and down another
         x0, x1 = np.array(aisles)[random.choice(len(aisles), 2, replace=False)]
         line = np.array([[x0, low, 0], [x0, top, 0], [x1, top, 0], [x1, low, 0], [x0, low, 0]])
         stage.lanes.append(Lane(line, ("forklift", "forklift", "robot"), (0.8, 2.5), closed=True))

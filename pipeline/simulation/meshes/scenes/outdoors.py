@@ -211,7 +211,7 @@ def park(stage: Stage, told: MeshParameters) -> None:
         stage.mesh(Mesh.joined(parts), Surface.VEGETATION)
     _edges(stage, height, side)
     x = np.linspace(0, side, 60)
-    y = side / 2 + u(0.05, 0.3) * side * np.sin(x * u(0.03, 0.12) + u(0, 6))
+    y = side / 2 + u(0.05, 0.3) * side * np.sin(x * u(0.03, 0.12) + u(0, 6))  # a path
     line = np.column_stack([x, y, height(x, y)])
     stage.lanes.append(Lane(line, ("bicycle", "bicycle", "robot"), (3, 8)))
     for number in range(4, 56, int(random.integers(6, 14))):  # lamps beside the path

@@ -227,7 +227,7 @@ def room(stage: Stage, told: MeshParameters) -> None:
     matter = Matter.GLASS if random.random() < 0.4 * told.glass else Matter.SOLID
     wall(stage, (0, wide), (long, wide), 0, high, ((begin, width, 0, _DOOR),), 0.12, matter)
     stage.doors.append(Door(begin, wide, 0, 0, width, 2.06))
-    kind = int(random.integers(4))
+    kind = int(random.integers(4))  # of the middle: free, rows of desks, one table, chairs
     if kind == 1:
         for x in np.arange(1.6, long - 1.2, u(1.6, 2.4)):
             for y in np.arange(1.3, wide - 1.5, u(1.5, 2.2)):
@@ -240,7 +240,7 @@ def room(stage: Stage, told: MeshParameters) -> None:
         for _ in range(random.poisson(6 * told.clutter)):
             at = (u(1, long - 1), u(1, wide - 1), 0.0, u(0, 2 * np.pi))
             stage.pick([f.chair, f.office_chair, f.bin_, f.sign])(stage, at)
-    for _ in range(random.poisson(7 * told.clutter)):
+    for _ in range(random.poisson(7 * told.clutter)):  # along the walls
         side = int(random.integers(3))
         west, south, east = u(0.5, wide - 0.5), u(0.5, long - 0.5), u(0.5, wide - 0.5)
         x, y = ((0.35, west), (south, 0.35), (long - 0.35, east))[side]
