@@ -6,13 +6,18 @@ queue, and machines drive. `simulate` gathers its scans into one map, as SLAM wo
 `pipeline.simulation.meshes` has scenes of triangle meshes, other sensors and other ways to map.
 """
 
-from pipeline.simulation.campus import SimulatedMap, simulate, simulate_scans
 from pipeline.simulation.meshes.parameters import load_simulation
 from pipeline.simulation.output import SimulationFiles, write_simulation
 from pipeline.simulation.parameters import SimulationParameters
 from pipeline.simulation.points import Points
+from pipeline.simulation.scans import (
+    SimulatedMap,
+    SimulatedScan,
+    build_scene,
+    simulate,
+    simulate_scans,
+)
 from pipeline.simulation.scene import SceneKind, Surface
-from pipeline.simulation.simulate import SimulatedScan, build_scene
 
 __all__ = [
     "Points",

@@ -6,11 +6,12 @@ All lengths are in metres.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Scene, Shapes, Surface
 
 HEIGHT = 3.0
@@ -29,7 +30,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A hole in a wall: a door, or a pane that rays pass."""
+    """A hole in a wall, from start to end along it: a door, or a pane that rays pass."""
 
     start: float
     end: float
@@ -43,19 +44,9 @@ def door(start: float) -> Opening:
     return Opening(start, start + 1.0, 0.0, DOOR_HEIGHT, glazed=False)
 
 
-def passage(start: float, end: float) -> Opening:
-    """Return a wide way through without a door."""
-    return Opening(start, end, 0.0, 2.5, glazed=False)
-
-
-def window(start: float, end: float) -> Opening:
-    """Return a window over a parapet."""
-    return Opening(start, end, 0.9, 2.3, glazed=True)
-
-
-def glass_wall(start: float, end: float) -> Opening:
-    """Return a pane from the floor almost to the ceiling."""
-    return Opening(start, end, 0.1, 2.7, glazed=True)
+passage = partial(Opening, bottom=0.0, top=2.5, glazed=False)  # a wide way through
+window = partial(Opening, bottom=0.9, top=2.3, glazed=True)  # over a parapet
+glass_wall = partial(Opening, bottom=0.1, top=2.7, glazed=True)  # from the floor almost to the top
 
 
 @dataclass(slots=True)
@@ -89,17 +80,11 @@ class Builder:
         self.box_surfaces.append(surface)
 
     def cylinder(
-        self,
-        x: float,
-        y: float,
-        radius: float,
-        top: float,
-        surface: Surface = Surface.FURNITURE,
-        bottom: float = 0.0,
+        self, x: float, y: float, radius: float, z: Span, surface: Surface = Surface.FURNITURE
     ) -> None:
-        """Add an upright cylinder, which stands on the floor if not told otherwise."""
+        """Add an upright cylinder about an axis, from its bounds above the floor."""
         floor = self.base + self.slope * x
-        self.cylinders.append((x, y, radius, floor + bottom, floor + top))
+        self.cylinders.append((x, y, radius, floor + z[0], floor + z[1]))
         self.cylinder_surfaces.append(surface)
 
     def floor(self, x: Span, y: Span) -> None:
@@ -139,11 +124,7 @@ class Builder:
 
     def pillar(self, x: float, y: float, height: float = HEIGHT) -> None:
         """Add a round pillar from the floor to the ceiling."""
-        self.cylinder(x, y, 0.3, height, Surface.WALL)
-
-    def cabinet(self, x: Span, y: Span, top: float) -> None:
-        """Add a closed piece of furniture that stands on the floor."""
-        self.box(x, y, (0.0, top))
+        self.cylinder(x, y, 0.3, (0.0, height), Surface.WALL)
 
     def table(self, x: float, y: float, length: float = 1.6, depth: float = 0.8) -> None:
         """Add a table about (x, y): a thin top on four legs."""
@@ -156,7 +137,7 @@ class Builder:
     def chair(self, x: float, y: float, back: float) -> None:
         """Add a chair about (x, y): a seat on one foot, its back at y + `back`."""
         self.box((x - 0.22, x + 0.22), (y - 0.22, y + 0.22), (0.42, 0.47))
-        self.cylinder(x, y, 0.06, 0.42)
+        self.cylinder(x, y, 0.06, (0.0, 0.42))
         self.box((x - 0.22, x + 0.22), (y + back - 0.02, y + back + 0.02), (0.47, 0.95))
 
     def desk(self, x: float, y: float) -> None:
@@ -165,24 +146,16 @@ class Builder:
         self.box((x - 0.3, x + 0.3), (y + 0.55, y + 0.6), (0.8, 1.2))
         self.chair(x, y - 0.4, back=-0.2)
 
-    def seats(self, x: float, y: float) -> None:
-        """Add a small table between four chairs, 1.2 by 2.1 about (x, y)."""
-        self.table(x, y, length=1.2)
-        for side in (-1, 1):
-            for left in (-0.3, 0.3):
-                self.chair(x + left, y + side * 0.6, back=side * 0.2)
-
-    def meeting_table(self, x: float, y: float) -> None:
-        """Add a long table between six chairs, 4 by 2.8 about (x, y)."""
-        self.table(x, y, length=4.0, depth=1.4)
-        for side in (-1, 1):
-            for left in (-1.3, 0.0, 1.3):
-                self.chair(x + left, y + side * 1.0, back=side * 0.2)
+    def seats(self, x: float, y: float, size: Span, chairs: tuple[float, ...], away: float) -> None:
+        """Add a table about (x, y) between two rows of chairs, which stand at `away` from it."""
+        self.table(x, y, *size)
+        for side, left in product((-1, 1), chairs):
+            self.chair(x + left, y + side * away, back=side * 0.2)
 
     def plant(self, x: float, y: float) -> None:
         """Add a plant in a pot, 0.7 by 0.7 about (x, y)."""
-        self.cylinder(x, y, 0.18, 0.4)
-        self.cylinder(x, y, 0.3, 1.5, Surface.VEGETATION, bottom=0.4)
+        self.cylinder(x, y, 0.18, (0.0, 0.4))
+        self.cylinder(x, y, 0.3, (0.4, 1.5), Surface.VEGETATION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,26 +176,23 @@ class Piece:
 
 
 DESK = Piece(1.6, 1.7, Builder.desk)
-SEATS = Piece(1.2, 2.1, Builder.seats)
-MEETING_TABLE = Piece(4.0, 2.8, Builder.meeting_table)
+SEATS = Piece(1.2, 2.1, partial(Builder.seats, size=(1.2, 0.8), chairs=(-0.3, 0.3), away=0.6))
+MEETING_TABLE = Piece(
+    4.0, 2.8, partial(Builder.seats, size=(4.0, 1.4), chairs=(-1.3, 0.0, 1.3), away=1.0)
+)
 TABLE = Piece(1.8, 0.8, Builder.table)
 PLANT = Piece(0.7, 0.7, Builder.plant)
 PILLAR = Piece(0.6, 0.6, Builder.pillar)
 
 
 class Furnisher:
-    """Places furniture in rooms, away from ways and from each other.
+    """Places furniture in rooms, away from the ways of a scene and from each other.
 
-    Parameters
-    ----------
-    scene : Scene
-        Whose ways stay free.
-    rounds : bool, optional
-        Whether the rounds of the machines and of those who queue are among them.
+    `rounds` says whether those of the machines and of who queues are among them.
     """
 
     def __init__(
-        self, builder: Builder, random: np.random.Generator, scene: Scene, *, rounds: bool = True
+        self, builder: Builder, random: Random, scene: Scene, *, rounds: bool = True
     ) -> None:
         self._builder = builder
         self._random = random
@@ -234,6 +204,11 @@ class Furnisher:
     def take(self, x: Span, y: Span) -> None:
         """Keep furniture out of a rectangle, such as one that stands there already."""
         self._taken.append((x[0], y[0], x[1], y[1]))
+
+    def cabinet(self, x: Span, y: Span, top: float) -> None:
+        """Build a closed piece of furniture in a given place."""
+        self._builder.box(x, y, (0.0, top))
+        self.take(x, y)
 
     def free_standing(self, room: Room, piece: Piece, count: int) -> None:
         """Place up to `count` pieces anywhere in a room, as far as there is space."""
@@ -261,9 +236,8 @@ class Furnisher:
                 x, y = (near_wall, middle) if side < 2 else (middle, near_wall)
                 size_x, size_y = (depth, length) if side < 2 else (length, depth)
                 if self._claim(room, x, y, size_x, size_y):
-                    self._builder.cabinet(
-                        (x - size_x / 2, x + size_x / 2), (y - size_y / 2, y + size_y / 2), top
-                    )
+                    wide, deep = (x - size_x / 2, x + size_x / 2), (y - size_y / 2, y + size_y / 2)
+                    self._builder.box(wide, deep, (0.0, top))
                     break
 
     def _claim(self, room: Room, x: float, y: float, length: float, depth: float) -> bool:
@@ -283,7 +257,7 @@ class Furnisher:
         return True
 
 
-def _ways_of(scene: Scene, rounds: bool) -> list[tuple[NDArray[np.float64], float]]:
+def _ways_of(scene: Scene, rounds: bool) -> list[tuple[Floats, float]]:
     """Return the corners of all ways of a scene, and the room that each needs to either side."""
     routes = [(scene.robot_route, ROBOT_MARGIN)]
     if rounds:
@@ -298,7 +272,7 @@ def _ways_of(scene: Scene, rounds: bool) -> list[tuple[NDArray[np.float64], floa
     return ways
 
 
-def _points_along(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _points_along(corners: Floats) -> Floats:
     """Return points along a way of (m, 2 or 3) corners, `_STEP` apart, (n, 2)."""
     pieces = [
         np.linspace(here, there, 1 + int(np.hypot(*(there - here)) / _STEP), endpoint=False)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import door, glass_wall, passage, window
-from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Walkways, on_floor
+from pipeline.simulation.movers import automated_vehicle, forklift
+from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.scene import Place, Scene, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0
@@ -39,30 +40,22 @@ class _Plan:
         return self.hall_north + _CORRIDOR
 
     @property
-    def northern_rooms(self) -> list[c.Room]:
-        """The rooms north of the corridor, from west to east."""
-        y = (self.corridor_north + _WALL, WIDTH - _WALL)
-        walls = pairwise((0.0, *self.dividers, LENGTH))
-        return [c.Room((west + _WALL, east - _WALL), y) for west, east in walls]
-
-    @property
     def pillars(self) -> list[tuple[float, float]]:
         """X and y of the pillars of the hall."""
         return [(x, y) for x in (5.6, self.hall_east - 5.3) for y in (5.6, 8.6)]
 
 
-def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def indoor_scene(random: Random, glass: bool = True) -> Scene:
     """Draw a floor. Panes let rays pass; without `glass` they are solid walls."""
     plan = _draw_plan(random)
     north, east = plan.hall_north - 3.2, plan.hall_east - 3.1
     scene = Scene(
-        shapes=Shapes.of(),
         walkways=_walkways(plan),
         queue=on_floor([(_QUEUE_X, _COUNTER_Y - 0.7 - 0.8 * slot) for slot in range(6)]),
         queue_return=on_floor([(_QUEUE_X - 1.4, 8.0), (_QUEUE_X - 1.4, 3.6)]),
         robot_route=_robot_route(plan),
         machine_route=on_floor([(3.4, 3.1), (east, 3.1), (east, north), (3.4, north)]),
-        machines=(MachineKind.FORKLIFT, MachineKind.AGV),
+        machines=(forklift, automated_vehicle),
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )
@@ -78,7 +71,7 @@ def indoor_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     return scene
 
 
-def _draw_plan(random: np.random.Generator) -> _Plan:
+def _draw_plan(random: Random) -> _Plan:
     """Move each wall and door a little from where an architect would put it."""
     dividers = np.array([7.5, 15.0, 22.5]) + random.uniform(-0.8, 0.8, 3)
     walls = np.array([0.0, *dividers, LENGTH])
@@ -116,16 +109,13 @@ def _add_walls(builder: c.Builder, plan: _Plan) -> None:
         builder.pillar(x, y)
 
 
-def _furnish_hall(
-    builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, random: np.random.Generator
-) -> None:
+def _furnish_hall(builder: c.Builder, furnisher: c.Furnisher, plan: _Plan, random: Random) -> None:
     """Add the counter, and furniture in the hall and the corridor."""
     for x, y in plan.pillars:
         furnisher.take((x - 0.4, x + 0.4), (y - 0.4, y + 0.4))
-    counter = (_QUEUE_X - 1.5, _QUEUE_X + 1.1)
-    builder.cabinet(counter, (_COUNTER_Y, _COUNTER_Y + 0.6), 1.05)
-    builder.cabinet((_QUEUE_X - 1.0, _QUEUE_X - 0.6), (_COUNTER_Y + 0.1, _COUNTER_Y + 0.4), 1.4)
-    furnisher.take(counter, (_COUNTER_Y, _COUNTER_Y + 0.6))
+    furnisher.cabinet((_QUEUE_X - 1.5, _QUEUE_X + 1.1), (_COUNTER_Y, _COUNTER_Y + 0.6), 1.05)
+    till = (_QUEUE_X - 1.0, _QUEUE_X - 0.6), (_COUNTER_Y + 0.1, _COUNTER_Y + 0.4)
+    builder.box(*till, (0.0, 1.4))
     hall = c.Room((_WALL, plan.hall_east - _WALL), (_WALL, plan.hall_north - _WALL))
     furnisher.free_standing(hall, c.SEATS, int(random.integers(2, 5)))
     furnisher.along_walls(hall, int(random.integers(3, 7)), (1.2, 3.0), 0.8, (0.4, 2.0))
@@ -137,10 +127,13 @@ def _furnish_hall(
     furnisher.free_standing(corridor, c.PLANT, 2)
 
 
-def _furnish_rooms(furnisher: c.Furnisher, plan: _Plan, random: np.random.Generator) -> None:
+def _furnish_rooms(furnisher: c.Furnisher, plan: _Plan, random: Random) -> None:
     """Make each room an office, a store or a classroom; a meeting room and a laboratory are set."""
     uses = ("office", "store", "classroom", "office")
-    for room, use in zip(plan.northern_rooms, random.permutation(uses), strict=True):
+    north = (plan.corridor_north + _WALL, WIDTH - _WALL)
+    walls = pairwise((0.0, *plan.dividers, LENGTH))
+    for (x0, x1), use in zip(walls, random.permutation(uses), strict=True):
+        room = c.Room((x0 + _WALL, x1 - _WALL), north)
         if use == "store":
             furnisher.along_walls(room, 7, (1.5, 2.8), 0.5, (1.8, 2.3))
             continue
@@ -199,7 +192,7 @@ def _walkways(plan: _Plan) -> Walkways:
     return Walkways.along(places, lines)
 
 
-def _robot_route(plan: _Plan) -> NDArray[np.float64]:
+def _robot_route(plan: _Plan) -> Floats:
     """Return the route: about the hall, the corridor end to end, and into two rooms."""
     south, north = 1.8, plan.hall_north - 1.9
     west, east = 2.2, plan.hall_east - 1.6

@@ -9,53 +9,36 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation.parameters import SimulationParameters
+from pipeline.simulation.points import Floats, Random
 
-TURN_RATE = np.radians(90.0)
-"""How fast the robot turns on the spot, in radians per second."""
-
-TILT_RATE = 0.2
-"""How fast it takes on the slope of a ramp, in rise over distance per second."""
-
-CLEARANCE = 0.9
-"""How far people keep from the robot, axis to axis, in metres."""
-
-DRIFT_SECONDS = 10.0
-"""Time over which the error of the estimated pose is forgotten."""
+TURN_RATE = np.radians(90.0)  # how fast the robot turns on the spot, in radians per second
+TILT_RATE = 0.2  # how fast it takes on the slope of a ramp, in rise over distance per second
+CLEARANCE = 0.9  # how far people keep from the robot, axis to axis, in metres
+DRIFT_SECONDS = 10.0  # time over which the error of the estimated pose is forgotten
 
 _STOREY = 2.0  # metres; nobody makes way for what is farther above or below
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A way through the scene, straight between known times.
+    """A way through the scene, straight between known times."""
 
-    Attributes
-    ----------
-    times : (m,) float64 array
-        Ascending, in seconds.
-    poses : (m, 5) float64 array
-        x, y, z, heading and slope at each time.
-    """
+    times: Floats  # (m,), ascending, in seconds
+    poses: Floats  # (m, 5): x, y, z, heading and slope
 
-    times: NDArray[np.float64]
-    poses: NDArray[np.float64]
-
-    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, times: Floats) -> Floats:
         """Return the pose at each of n times, (n, 5); before and after, the mover stands."""
         after = np.searchsorted(self.times, times, side="right").clip(1, len(self.times) - 1)
         begin, end = self.times[after - 1], self.times[after]
         lasting = np.maximum(end - begin, 1e-12)
         share = ((times - begin) / lasting).clip(0.0, 1.0)[:, None]
-        poses: NDArray[np.float64] = self.poses[after - 1] * (1 - share) + self.poses[after] * share
+        poses: Floats = self.poses[after - 1] * (1 - share) + self.poses[after] * share
         return poses
 
 
-def drive(
-    route: NDArray[np.float64], speed: float, duration: float, ahead: float = 0.0
-) -> Trajectory:
+def drive(route: Floats, speed: float, duration: float, ahead: float = 0.0) -> Trajectory:
     """Drive along a closed route, again and again, turning on the spot at its corners.
 
     Parameters
@@ -92,9 +75,7 @@ def drive(
     return Trajectory(np.array(times) - done, np.array(poses))
 
 
-def keep_clear(
-    places: NDArray[np.float64], other: NDArray[np.float64], clearance: float = CLEARANCE
-) -> NDArray[np.float64]:
+def keep_clear(places: Floats, other: Floats, clearance: float = CLEARANCE) -> Floats:
     """Push people away from something on wheels, to `clearance` at least.
 
     Parameters
@@ -114,7 +95,7 @@ def keep_clear(
     return moved
 
 
-def rotations(heading: NDArray[np.float64], slope: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(heading: Floats, slope: Floats) -> Floats:
     """Return the (n, 3, 3) rotations from the sensor's frame to the map's.
 
     The sensor turns by its heading about z, after it was pitched up by the slope ahead.
@@ -131,25 +112,23 @@ def rotations(heading: NDArray[np.float64], slope: NDArray[np.float64]) -> NDArr
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def pose_matrix(position: NDArray[np.float64], heading: float, slope: float) -> NDArray[np.float64]:
+def pose_matrix(position: Floats, heading: float, slope: float) -> Floats:
     """Return the (3, 4) transform from the sensor's frame to the map's."""
     (rotation,) = rotations(np.array([heading]), np.array([slope]))
     return np.column_stack([rotation, position])
 
 
-def to_map(pose: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_map(pose: Floats, points: Floats) -> Floats:
     """Take (n, 3) points from the sensor's frame to the map's."""
     return points @ pose[:, :3].T + pose[:, 3]
 
 
-def to_sensor(pose: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_sensor(pose: Floats, points: Floats) -> Floats:
     """Take (n, 3) points from the map's frame to the sensor's."""
     return (points - pose[:, 3]) @ pose[:, :3]
 
 
-def drift(
-    parameters: SimulationParameters, random: np.random.Generator
-) -> Iterator[NDArray[np.float64]]:
+def drift(parameters: SimulationParameters, random: Random) -> Iterator[Floats]:
     """Yield the error of the estimated pose, scan after scan: x, y and z in metres, heading.
 
     An Ornstein-Uhlenbeck process from 0: the error wanders, and loop closures hold it near 0, so

@@ -14,13 +14,12 @@ import pyarrow.parquet as pq
 import yaml
 
 from pipeline.errors import OutputError
-from pipeline.simulation.campus import simulate_scans
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters, nothing_seen
 from pipeline.simulation.points import Points
+from pipeline.simulation.scans import SimulatedScan, simulate_scans
 from pipeline.simulation.scene import Surface
-from pipeline.simulation.simulate import SimulatedScan
 from tiling.output_file import create_file, writing_only_into
 
 POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "intensity")),
@@ -42,8 +41,7 @@ POINTS {points}
 DATA binary
 """
 
-POINTS_IN_MEMORY = 250_000
-"""Points whose truth is gathered before it is written."""
+POINTS_IN_MEMORY = 250_000  # points whose truth is gathered before it is written
 
 _HEADER_SIZE = 384  # bytes, filled up in a comment, so that the count can be written at the end
 
@@ -86,8 +84,6 @@ def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]
             flush()
 
     def flush() -> None:
-        if not sum(map(len, waiting)):
-            return
         points = Points.joined(waiting)
         surface = pa.DictionaryArray.from_arrays(pa.array(points.surface), titles)
         values = [pa.array(points.moving), surface, pa.array(points.known)]
@@ -96,7 +92,8 @@ def truth_file(path: Path, *, known: bool) -> Iterator[Callable[[Points], None]]
 
     with create_file(path) as file, pq.ParquetWriter(file, schema) as writer:
         yield append
-        flush()
+        if any(map(len, waiting)):
+            flush()
 
 
 def _pcd_header(points: int) -> bytes:
@@ -114,25 +111,20 @@ class SimulationFiles:
     """The files of a simulation in a folder."""
 
     def __init__(self, folder: Path) -> None:
+        # The map with its ghosts: binary PCD of x, y, z, intensity, time and scan.
         self.map = folder / "map.pcd"
-        """The map with its ghosts: binary PCD of x, y, z, intensity, time and scan."""
+        # A row a point in the map's order: `moving` (bool), `surface` (dictionary), and of scenes
+        # of meshes `known` (bool): whether `moving` can be told.
         self.truth = folder / "truth.parquet"
-        """One row a point in the map's order: `moving` (bool), `surface` (dictionary), and of
-        scenes of meshes `known` (bool): whether `moving` can be told."""
+        # One scan a line (KITTI): the 3x4 matrix from sensor to map, row by row; and when it began.
         self.poses, self.true_poses = folder / "poses.txt", folder / "poses_true.txt"
-        """Estimated and true poses, one scan a line: the 3x4 matrix from sensor to map, row by row
-        (KITTI)."""
         self.times = folder / "times.txt"
-        """When each scan began, in seconds, one a line (KITTI)."""
-        self.parameters = folder / "simulation.yaml"
-        """The parameters, which make the same files again."""
-        self.scans = folder / "scans"
-        """Folder of the scans in the sensor's frame, `000000.pcd` and so on, fields as in the
-        map."""
+        self.parameters = folder / "simulation.yaml"  # which make the same files again
+        self.scans = folder / "scans"  # 000000.pcd and so on, in the sensor's frame, as in the map
+        # The map that the same drive would have given without anything that moves, and that of
+        # another drive through the same scene, while hardly anybody was there.
         self.static_truth = folder / "static_truth.pcd"
-        """The map that the same drive would have given without anything that moves."""
         self.low_activity = folder / "low_activity.pcd"
-        """The map of another drive through the same scene, while hardly anybody was there."""
 
     def besides_map(self) -> list[Path]:
         """Return every file but the map and the scans."""
@@ -181,7 +173,10 @@ def write_simulation(
             files.parameters.write_text(text, encoding="utf-8")
             _write_drive(parameters, files, map_only, advance)
             if not map_only:
-                _write_low_activity(parameters, files)
+                quiet = parameters.low_activity()
+                with point_cloud_file(files.low_activity) as cloud, _map_of(quiet, cloud) as append:
+                    for scan in _scans(quiet, static=False):
+                        append(scan.returns)
     except OSError as error:
         found = "a file" if folder.is_file() else error.strerror or error
         raise OutputError(f"{folder}: expected a folder to write in, found {found}") from error
@@ -245,14 +240,6 @@ def _write_drive(
             advance(len(returns))
         if not count:
             raise nothing_seen(parameters.min_range, parameters.max_range)
-
-
-def _write_low_activity(parameters: Parameters, files: SimulationFiles) -> None:
-    """Write the map of a drive while hardly anybody is there."""
-    quiet = parameters.low_activity()
-    with point_cloud_file(files.low_activity) as cloud, _map_of(quiet, cloud) as append:
-        for scan in _scans(quiet, static=False):
-            append(scan.returns)
 
 
 @contextmanager

@@ -1,17 +1,19 @@
 """What a simulation can be told."""
 
-from typing import Self
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.scene import SceneKind
 
-RINGS = 16
-"""Lasers of the sensor."""
+RINGS = 16  # lasers of the sensor
+POINTS_OF_A_BLOCK = 1_000_000  # most points that one block of scene gives to a map of a given size
 
-POINTS_OF_A_BLOCK = 1_000_000
-"""Most points that one block of scene gives to a map of a given size."""
+
+def key(default: Any, description: str, **limits: Any) -> Any:
+    """Return a parameter of a simulation: its default, what it means, and what is allowed."""
+    return Field(default, description=description, **limits)
 
 
 class SimulationParameters(BaseModel):
@@ -24,68 +26,39 @@ class SimulationParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    scene: SceneKind = Field(
+    scene: SceneKind = key(
         SceneKind.INDOOR,
-        description="`indoor`: one floor of 750 square metres. `storeys`: two floors and a ramp. "
+        "`indoor`: one floor of 750 square metres. `storeys`: two floors and a ramp. "
         "`ramp`: a hall with a platform and a ramp. `street`: 120 m of street over a hill.",
     )
-    seed: int = Field(
-        0, ge=0, description="Seed of the floor plan, all that moves, the noise and the drift."
-    )
-    drive: int = Field(
-        0, ge=0, description="Another number: the same scene, but other people, noise and drift."
-    )
-    points: int | None = Field(
+    seed: int = key(0, "Seed of plan, all that moves, noise and drift.", ge=0)
+    drive: int = key(0, "Another number: the same scene, but other people, noise and drift.", ge=0)
+    points: int | None = key(
         None,
+        "Points of the map, exactly. Blocks of scene with up to a million points each are put side "
+        "by side, and `azimuth_step` is chosen to fit. Without it, the map is one block and has "
+        "what the scans give.",
         ge=1,
-        description="Points of the map, exactly. Blocks of scene with up to a million points each "
-        "are put side by side, and `azimuth_step` is chosen to fit. Without it, the map is one "
-        "block and has what the scans give.",
     )
 
-    scans: int = Field(
-        700, ge=1, description="Scans that enter the map from each block; about, with `points`."
-    )
-    rotations_per_scan: int = Field(
-        4, ge=1, description="Rotations of the sensor from one scan of the map to the next."
-    )
-    rotation_rate: float = Field(10.0, gt=0, description="Rotations of the sensor, per second.")
-    azimuth_step: float = Field(
-        20.0, ge=0.1, le=90, description="Angle between two firings of a ring, in degrees."
-    )
-    sensor_height: float = Field(
-        0.9, ge=0.3, le=1.6, description="Height of the sensor above the floor, in metres."
-    )
-    min_range: float = Field(0.4, ge=0, description="Shortest range that is measured, in metres.")
-    max_range: float = Field(100.0, gt=0, description="Longest range that is measured, in metres.")
-    range_noise: float = Field(
-        0.015, ge=0, description="Standard deviation of a measured range, in metres."
-    )
-    range_resolution: float = Field(
-        0.002, ge=0, description="Step that ranges are rounded to, in metres; 0 for no rounding."
-    )
+    scans: int = key(700, "Scans of each block in the map; about, with `points`.", ge=1)
+    rotations_per_scan: int = key(4, "Rotations from one scan of the map to the next.", ge=1)
+    rotation_rate: float = key(10.0, "Rotations of the sensor, per second.", gt=0)
+    azimuth_step: float = key(20.0, "Degrees between two firings of a ring.", ge=0.1, le=90)
+    sensor_height: float = key(0.9, "Metres of the sensor above the floor.", ge=0.3, le=1.6)
+    min_range: float = key(0.4, "Shortest range that is measured, in metres.", ge=0)
+    max_range: float = key(100.0, "Longest range that is measured, in metres.", gt=0)
+    range_noise: float = key(0.015, "Standard deviation of a measured range, in metres.", ge=0)
+    range_resolution: float = key(0.002, "Step that ranges are rounded to; 0: none.", ge=0)
 
-    robot_speed: float = Field(0.9, gt=0, description="Speed of the robot, in metres per second.")
-    drift_position: float = Field(
-        0.015,
-        ge=0,
-        description="Standard deviation of the estimated position along each axis, in metres.",
-    )
-    drift_heading: float = Field(
-        0.1, ge=0, description="Standard deviation of the estimated heading, in degrees."
-    )
+    robot_speed: float = key(0.9, "Of the robot, in metres per second.", gt=0)
+    drift_position: float = key(0.015, "Deviation of the pose along each axis, in metres.", ge=0)
+    drift_heading: float = key(0.1, "Deviation of the estimated heading, in degrees.", ge=0)
 
-    walkers: int = Field(10, ge=0, description="People who walk and stop, in each block.")
-    queuers: int = Field(4, ge=0, le=6, description="People in the queue at the counter.")
-    machines: int = Field(
-        2,
-        ge=0,
-        le=4,
-        description="Forklifts and automated vehicles indoors, cars and bicycles on the street.",
-    )
-    glass: bool = Field(
-        True, description="Whether panes let rays pass; otherwise they are solid walls."
-    )
+    walkers: int = key(10, "People who walk and stop, in each block.", ge=0)
+    queuers: int = key(4, "People in the queue at the counter.", ge=0, le=6)
+    machines: int = key(2, "Forklifts and AGVs indoors, else cars and bicycles.", ge=0, le=4)
+    glass: bool = key(True, "Whether panes let rays pass; otherwise they are solid walls.")
 
     @field_validator("azimuth_step")
     @classmethod

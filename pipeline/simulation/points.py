@@ -1,54 +1,50 @@
-"""Points of scans and maps, and the voxel filter that SLAM systems thin them with."""
+"""Tables of arrays: points of scans and maps, and the voxel filter that SLAM thins them with."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
+Random = np.random.Generator
+
 
 @dataclass(frozen=True, slots=True)
-class Points:
-    """n points, free of motion distortion, as after perfect deskewing.
-
-    Attributes
-    ----------
-    xyz : (n, 3) float64 array
-        In the map's frame, placed by the estimated pose, in metres.
-    intensity : (n,) float32 array
-        Calibrated reflectivity, 0 to 255.
-    time : (n,) float64 array
-        In seconds.
-    surface : (n,) uint8 array
-        `Surface` each point lies on.
-    moving : (n,) bool array
-        Whether each lies on something that changes its place: a ghost.
-    known : (n,) bool array
-        Whether that can be told honestly.
-    scan : (n,) int32 array
-        The scan that saw the point.
-    """
-
-    xyz: NDArray[np.float64]
-    intensity: NDArray[np.float32]
-    time: NDArray[np.float64]
-    surface: NDArray[np.uint8]
-    moving: NDArray[np.bool_]
-    known: NDArray[np.bool_]
-    scan: NDArray[np.int32]
+class Columns:
+    """A table: arrays of one length, which say different things about the same."""
 
     def __len__(self) -> int:
-        return len(self.xyz)
+        return len(getattr(self, fields(self)[0].name))
 
-    def take(self, which: NDArray[np.bool_] | NDArray[np.int64] | slice) -> "Points":
-        """Return some of the points."""
-        return Points(*(getattr(self, field.name)[which] for field in fields(self)))
+    def take(self, which: NDArray[Any] | slice) -> Self:
+        """Return some of the rows."""
+        return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @classmethod
-    def joined(cls, parts: Sequence["Points"]) -> "Points":
-        """Put points one after the other."""
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Put tables one after the other."""
         names = [field.name for field in fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def replaced(self, other: Self, where: NDArray[np.bool_]) -> Self:
+        """Return these rows, but those of another table where told."""
+        both = ((getattr(other, field.name), getattr(self, field.name)) for field in fields(self))
+        return type(self)(*(np.where(where, *pair) for pair in both))
+
+
+@dataclass(frozen=True, slots=True)
+class Points(Columns):
+    """n points, free of motion distortion, as after perfect deskewing."""
+
+    xyz: Floats  # (n, 3), in the map's frame, placed by the estimated pose, in metres
+    intensity: NDArray[np.float32]  # calibrated reflectivity, 0 to 255
+    time: Floats  # in seconds
+    surface: NDArray[np.uint8]  # the `Surface` it lies on
+    moving: NDArray[np.bool_]  # whether it lies on something that changes its place: a ghost
+    known: NDArray[np.bool_]  # whether that can be told honestly
+    scan: NDArray[np.int32]  # the scan that saw the point
 
     def filtered(self, size: float) -> "Points":
         """Put the centroid of its points in each voxel, as PCL's `VoxelGrid` does.

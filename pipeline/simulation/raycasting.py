@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.simulation.points import Columns, Floats
 from pipeline.simulation.scene import Shapes
 from tiling.compiled import compiled
 
@@ -21,24 +22,14 @@ _NOTHING = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Hits:
-    """What each of n rays meets first.
+class Hits(Columns):
+    """What each of n rays meets first."""
 
-    Attributes
-    ----------
-    distance : (n,) float64 array
-        In metres; infinite where the ray meets nothing.
-    surface : (n,) uint8 array
-        `Surface` that is met; without meaning where `distance` is infinite.
-    """
-
-    distance: NDArray[np.float64]
-    surface: NDArray[np.uint8]
+    distance: Floats  # in metres; infinite where the ray meets nothing
+    surface: NDArray[np.uint8]  # the `Surface` that is met; without meaning where nothing is
 
 
-def first_hits(
-    shapes: Shapes, origins: NDArray[np.float64], directions: NDArray[np.float64]
-) -> Hits:
+def first_hits(shapes: Shapes, origins: Floats, directions: Floats) -> Hits:
     """Cast rays at solid bodies that stand still.
 
     Parameters
@@ -57,11 +48,11 @@ def first_hits(
 def first_moving_hits(
     shapes: Shapes,
     starts: NDArray[np.int64],
-    reach: NDArray[np.float64],
-    frames: NDArray[np.float64],
+    reach: Floats,
+    frames: Floats,
     firings: NDArray[np.int64],
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
+    origins: Floats,
+    directions: Floats,
 ) -> Hits:
     """Cast rays at bodies that move.
 
@@ -80,33 +71,29 @@ def first_moving_hits(
     origins, directions : (n, 3) float64 arrays
         As for `first_hits`.
     """
-    distance = np.full(len(origins), np.inf)
-    index = np.full(len(origins), _NOTHING)
-    if len(shapes.boxes) + len(shapes.cylinders) == 0:
-        return Hits(distance, np.zeros(len(origins), dtype=np.uint8))
-    _cast(
+    distance, index = _cast(
         shapes.boxes, shapes.cylinders, starts, reach, np.ascontiguousarray(frames),
-        firings, origins, directions, distance, index,
+        firings, origins, directions,
     )  # fmt: skip
-    surface = np.concatenate([shapes.box_surface, shapes.cylinder_surface])
-    return Hits(distance, surface[index])
+    # `_NOTHING` is -1: the last of these.
+    surface = [shapes.box_surface, shapes.cylinder_surface, np.zeros(1, np.uint8)]
+    return Hits(distance, np.concatenate(surface)[index])
 
 
 @compiled
 def _cast(
-    boxes: NDArray[np.float64],
-    cylinders: NDArray[np.float64],
+    boxes: Floats,
+    cylinders: Floats,
     starts: NDArray[np.int64],
-    reach: NDArray[np.float64],
-    frames: NDArray[np.float64],
+    reach: Floats,
+    frames: Floats,
     firings: NDArray[np.int64],
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    distance: NDArray[np.float64],
-    index: NDArray[np.int64],
-) -> None:
-    """Write each ray's nearest distance, and the number of the shape met (boxes come first)."""
+    origins: Floats,
+    directions: Floats,
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return each ray's nearest distance, and the number of the shape met (boxes come first)."""
     ray = np.empty(6)
+    distance, index = np.empty(len(origins)), np.empty(len(origins), np.int64)
     for number in range(len(origins)):
         dx, dy, dz = directions[number]
         level = max(dx * dx + dy * dy, _ALMOST_ZERO)
@@ -132,10 +119,11 @@ def _cast(
                 if distance_to_cylinder < nearest:
                     nearest, met = distance_to_cylinder, len(boxes) + cylinder
         distance[number], index[number] = nearest, met
+    return distance, index
 
 
 @compiled
-def _nearest_box(boxes: NDArray[np.float64], ray: NDArray[np.float64]) -> tuple[float, int]:
+def _nearest_box(boxes: Floats, ray: Floats) -> tuple[float, int]:
     """Return where a ray (origin, direction) first enters a box, and which; infinity for none."""
     nearest, met = np.inf, _NOTHING
     inverse_x, inverse_y = _inverse(ray[3]), _inverse(ray[4])
@@ -161,7 +149,7 @@ def _nearest_box(boxes: NDArray[np.float64], ray: NDArray[np.float64]) -> tuple[
 
 
 @compiled
-def _to_cylinder(cylinder: NDArray[np.float64], ray: NDArray[np.float64]) -> float:
+def _to_cylinder(cylinder: Floats, ray: Floats) -> float:
     """Return where a ray enters a cylinder, infinity where it does not.
 
     The mantle is met where ``|o + t d - c|^2 = r^2`` in the xy plane, a quadratic in t.

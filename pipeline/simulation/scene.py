@@ -5,13 +5,16 @@ walls, furniture, people, machines and trees, and the distance along a ray to ei
 All lengths are in metres.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.simulation.points import Columns, Floats, Random
 
 
 class SceneKind(StrEnum):
@@ -21,15 +24,6 @@ class SceneKind(StrEnum):
     STOREYS = "storeys"
     RAMP = "ramp"
     STREET = "street"
-
-
-class MachineKind(StrEnum):
-    """The machines and vehicles that drive about."""
-
-    FORKLIFT = "forklift"
-    AGV = "agv"
-    CAR = "car"
-    BICYCLE = "bicycle"
 
 
 class Surface(IntEnum):
@@ -51,26 +45,16 @@ class Surface(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Shapes:
+class Shapes(Columns):
     """Solid bodies.
 
-    Attributes
-    ----------
-    boxes : (b, 8) float64 array
-        Lower x, y, z, upper x, y, z, and the slopes along x and y: the points of a box are those
-        with x and y within the bounds, and with z - slope_x x - slope_y y between lower and upper
-        z.
-    box_surface : (b,) uint8 array
-        `Surface` of each box.
-    cylinders : (c, 5) float64 array
-        x and y of the axis, radius, bottom and top.
-    cylinder_surface : (c,) uint8 array
-        `Surface` of each cylinder.
+    The points of a box have x and y within its bounds, and z - slope_x x - slope_y y between its
+    lower and upper z.
     """
 
-    boxes: NDArray[np.float64]
-    box_surface: NDArray[np.uint8]
-    cylinders: NDArray[np.float64]
+    boxes: Floats  # (b, 8): lower x, y, z, upper x, y, z, and the slopes along x and y
+    box_surface: NDArray[np.uint8]  # the `Surface` of each
+    cylinders: Floats  # (c, 5): x and y of the axis, radius, bottom and top
     cylinder_surface: NDArray[np.uint8]
 
     @classmethod
@@ -88,13 +72,6 @@ class Shapes:
             np.array(cylinders, dtype=np.float64).reshape(-1, 5),
             np.array(cylinder_surface, dtype=np.uint8),
         )
-
-    @classmethod
-    def joined(cls, parts: Sequence["Shapes"]) -> "Shapes":
-        """Put the boxes of all parts one after the other, and so their cylinders."""
-        names = [field.name for field in fields(cls)]
-        parts = [cls.of(), *parts]
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def reach(self) -> float:
         """Return the greatest distance of any part from the z axis."""
@@ -130,18 +107,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Walkways:
-    """Where people walk.
+    """Where people walk."""
 
-    Attributes
-    ----------
-    places : tuple of Place
-        Where they turn, pass or stop.
-    ways : tuple of tuple of int
-        For each place, the places that can be reached from it in a straight line.
-    """
-
-    places: tuple[Place, ...]
-    ways: tuple[tuple[int, ...], ...]
+    places: tuple[Place, ...]  # where they turn, pass or stop
+    ways: tuple[tuple[int, ...], ...]  # of each, the places that a straight line leads to
 
     @classmethod
     def along(cls, places: Mapping[str, Place], lines: Sequence[Sequence[str]]) -> "Walkways":
@@ -157,46 +126,24 @@ class Walkways:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All that stands still, and where one can go.
+    """All that stands still, and where one can go."""
 
-    Attributes
-    ----------
-    shapes : Shapes
-        Everything solid.
-    walkways : Walkways
-        Where people walk.
-    queue : (s, 3) float64 array
-        Slots of the queue, from the counter to its end.
-    queue_return : (m, 3) float64 array
-        Corners of the way from the counter back to the end of the queue.
-    robot_route, machine_route : (m, 3) float64 array
-        Corners of the closed routes of the robot and of the machines, on the floor.
-    machines : tuple of MachineKind
-        Which machines drive, in turn.
-    machine_speed : float
-        In metres per second.
-    size : (length, width)
-        Along x and y from 0.
-    gap : float
-        Space to the next scene of its kind.
-    """
-
-    shapes: Shapes
     walkways: Walkways
-    queue: NDArray[np.float64]
-    queue_return: NDArray[np.float64]
-    robot_route: NDArray[np.float64]
-    machine_route: NDArray[np.float64]
-    machines: tuple[MachineKind, ...]
-    machine_speed: float
-    size: tuple[float, float]
-    gap: float = 6.0
+    queue: Floats  # (s, 3), slots of the queue, from the counter to its end
+    queue_return: Floats  # (m, 3), corners of the way from the counter back to the end of the queue
+    robot_route: Floats  # (m, 3), corners of a closed route on the floor
+    machine_route: Floats
+    machines: tuple[Callable[[Random], Shapes], ...]  # what makes those that drive, in turn
+    machine_speed: float  # in metres per second
+    size: tuple[float, float]  # along x and y from 0
+    gap: float = 6.0  # to the next scene of its kind
+    shapes: Shapes = field(default_factory=Shapes.of)
 
     def mirrored(self, axis: int) -> "Scene":
         """Swap left and right along x (axis 0) or y (axis 1), within the size."""
         length = self.size[axis]
 
-        def turned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def turned(points: Floats) -> Floats:
             swapped = points.copy()
             swapped[:, axis] = length - points[:, axis]
             return swapped
@@ -205,17 +152,16 @@ class Scene:
             replace(place, x=length - place.x) if axis == 0 else replace(place, y=length - place.y)
             for place in self.walkways.places
         )
+        names = ("queue", "queue_return", "robot_route", "machine_route")
+        ways: dict[str, Any] = {name: turned(getattr(self, name)) for name in names}
         return replace(
             self,
             shapes=self.shapes.mirrored(axis, length),
             walkways=replace(self.walkways, places=places),
-            queue=turned(self.queue),
-            queue_return=turned(self.queue_return),
-            robot_route=turned(self.robot_route),
-            machine_route=turned(self.machine_route),
+            **ways,
         )
 
 
-def on_floor(corners: Sequence[Sequence[float]], height: float = 0.0) -> NDArray[np.float64]:
+def on_floor(corners: Sequence[Sequence[float]], height: float = 0.0) -> Floats:
     """Return (m, 3) corners of a way from (x, y), at the floor's height, or from (x, y, z)."""
     return np.array([(*corner[:2], corner[2] if len(corner) > 2 else height) for corner in corners])

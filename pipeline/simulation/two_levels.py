@@ -6,61 +6,35 @@ All lengths are in metres.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import glass_wall, passage, window
-from pipeline.simulation.scene import MachineKind, Place, Scene, Shapes, Surface, Walkways, on_floor
+from pipeline.simulation.movers import automated_vehicle, forklift
+from pipeline.simulation.points import Random
+from pipeline.simulation.scene import Place, Scene, Surface, Walkways, on_floor
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall
 
-STOREY = 3.2
-"""Height of the upper floor of the two storeys above the lower one."""
+STOREY = 3.2  # height of the upper floor of the two storeys above the lower one
 
 _LANE = 4.0  # width of the ramp's lane, along the south side
 _LANDING = 2.5  # length of the flat part at either end of the lane
 _UPSTAIRS = c.Room((_WALL, LENGTH - _WALL), (_LANE + _WALL, WIDTH - _WALL))
 
-PLATFORM = 1.2
-"""Height of the loading hall's platform above its floor."""
+PLATFORM = 1.2  # height of the loading hall's platform above its floor
 
 _FOOT, _EDGE = 10.0, 20.0  # x at which its ramp begins, and at which the platform does
 _RAMP = (7.5, 16.5)  # y of its sides
 _ROOF = 6.0
 
 
-def storeys_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def storeys_scene(random: Random, glass: bool = True) -> Scene:
     """Build two storeys of 630 m², each a hall with a partition, and a ramp in a lane beside them.
 
     The ramp rises by 3.2 m over 25 m: 12.8 %. The robot goes up it and down again, people too.
     Panes let rays pass; without `glass` they are solid walls.
     """
-    scene = Scene(
-        shapes=Shapes.of(),
-        walkways=_ways_of_storeys(),
-        queue=on_floor([(26.5, 19.0 - 0.8 * slot) for slot in range(6)]),
-        queue_return=on_floor([(27.8, 19.0), (27.8, 14.4)]),
-        robot_route=_route_of_storeys(),
-        machine_route=on_floor([(5.5, 10.0), (20.0, 10.0), (20.0, 18.0), (5.5, 18.0)]),
-        machines=(MachineKind.AGV, MachineKind.FORKLIFT),
-        machine_speed=1.0,
-        size=(LENGTH, WIDTH),
-    )
-    builder = c.Builder(glass)
-    _add_building(builder)
-    furnisher = c.Furnisher(builder, random, scene)
-    builder.cabinet((25.5, 27.4), (19.7, 20.3), 1.05)
-    furnisher.take((25.5, 27.4), (19.7, 20.3))
-    _furnish_storey(furnisher, random)
-    with builder.on(STOREY):
-        _furnish_storey(c.Furnisher(builder, random, scene, rounds=False), random)
-    scene = replace(scene, shapes=builder.shapes())
-    return scene.mirrored(0) if random.random() < 0.5 else scene
-
-
-def _route_of_storeys() -> NDArray[np.float64]:
-    """Return the route: about the lower hall, up the ramp, about the upper hall, and down."""
     lane, inside, north = _LANE / 2, _LANE + 2.5, WIDTH - 3.0
     west, east = 1.4, LENGTH - 1.4
     foot, head = (_LANDING, lane), (LENGTH - _LANDING, lane)
@@ -72,10 +46,28 @@ def _route_of_storeys() -> NDArray[np.float64]:
         head, (east, lane), (east, inside), (east, north), (5.0, north), (5.0, inside),
         (east, inside), (east, lane), head,
     ]  # fmt: skip
-    return np.concatenate([on_floor(lower), on_floor(upper, STOREY), on_floor([foot])])
+    scene = Scene(
+        walkways=_ways_of_storeys(),
+        queue=on_floor([(26.5, 19.0 - 0.8 * slot) for slot in range(6)]),
+        queue_return=on_floor([(27.8, 19.0), (27.8, 14.4)]),
+        robot_route=np.concatenate([on_floor(lower), on_floor(upper, STOREY), on_floor([foot])]),
+        machine_route=on_floor([(5.5, 10.0), (20.0, 10.0), (20.0, 18.0), (5.5, 18.0)]),
+        machines=(automated_vehicle, forklift),
+        machine_speed=1.0,
+        size=(LENGTH, WIDTH),
+    )
+    builder = c.Builder(glass)
+    _add_building(builder)
+    furnisher = c.Furnisher(builder, random, scene)
+    furnisher.cabinet((25.5, 27.4), (19.7, 20.3), 1.05)
+    _furnish_storey(furnisher, random)
+    with builder.on(STOREY):
+        _furnish_storey(c.Furnisher(builder, random, scene, rounds=False), random)
+    scene = replace(scene, shapes=builder.shapes())
+    return scene.mirrored(0) if random.random() < 0.5 else scene
 
 
-def _furnish_storey(furnisher: c.Furnisher, random: np.random.Generator) -> None:
+def _furnish_storey(furnisher: c.Furnisher, random: Random) -> None:
     """Furnish one storey, to either side of its partition."""
     furnisher.take((LENGTH / 2 - 0.3, LENGTH / 2 + 0.3), _UPSTAIRS.y)
     furnisher.free_standing(_UPSTAIRS, c.PILLAR, 5)
@@ -143,7 +135,7 @@ def _ways_of_storeys() -> Walkways:
 
 def _add_pallet(builder: c.Builder, x: float, y: float) -> None:
     """Add a pallet with boxes stacked on it."""
-    builder.cabinet((x - 0.6, x + 0.6), (y - 0.4, y + 0.4), 0.15)
+    builder.box((x - 0.6, x + 0.6), (y - 0.4, y + 0.4), (0.0, 0.15))
     builder.box((x - 0.55, x + 0.5), (y - 0.35, y + 0.38), (0.15, 0.9))
     builder.box((x - 0.55, x + 0.1), (y - 0.3, y + 0.3), (0.9, 1.4))
 
@@ -152,22 +144,24 @@ _TALL_PILLAR = c.Piece(0.6, 0.6, lambda builder, x, y: builder.pillar(x, y, _ROO
 _PALLET = c.Piece(1.2, 0.8, _add_pallet)
 
 
-def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
+def ramp_scene(random: Random, glass: bool = True) -> Scene:
     """Build a loading hall: a floor, a platform 1.2 m above it, and a ramp of 12 % between them.
 
     The machines drive over the ramp, as the robot and the people do. Panes let rays pass; without
     `glass` they are solid walls.
     """
-    up, down = _over(12.6), _over(15.4)[::-1]
+    up, lane, back = (on_floor([(_FOOT, y, 0.0), (_EDGE, y, PLATFORM)]) for y in (8.6, 12.6, 15.4))
+    lower = on_floor([(2.0, 3.0), (7.0, 3.0), (7.0, 8.6)])
+    upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]
+    home = on_floor([(7.0, 8.6), (7.0, 22.0), (2.0, 22.0)])
     turn = [(25.0, 12.6, PLATFORM), (25.0, 15.4, PLATFORM)]
     scene = Scene(
-        shapes=Shapes.of(),
         walkways=_ways_of_hall(),
         queue=on_floor([(15.5 - 0.8 * slot, 4.0) for slot in range(6)]),
         queue_return=on_floor([(15.5, 5.4), (10.9, 5.4)]),
-        robot_route=_route_of_hall(),
-        machine_route=on_floor([(4.5, 12.6), *up, *turn, *down, (4.5, 15.4)]),
-        machines=(MachineKind.FORKLIFT, MachineKind.AGV),
+        robot_route=np.concatenate([lower, up, on_floor(upper, PLATFORM), up[::-1], home]),
+        machine_route=on_floor([(4.5, 12.6), *lane, *turn, *back[::-1], (4.5, 15.4)]),
+        machines=(forklift, automated_vehicle),
         machine_speed=1.2,
         size=(LENGTH, WIDTH),
     )
@@ -175,8 +169,7 @@ def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
     _add_hall(builder)
     furnisher = c.Furnisher(builder, random, scene)
     furnisher.take((_FOOT - 1.0, _EDGE), (_RAMP[0] - 0.2, _RAMP[1] + 0.2))
-    builder.cabinet((16.2, 16.8), (2.8, 5.2), 1.05)
-    furnisher.take((16.2, 16.8), (2.8, 5.2))
+    furnisher.cabinet((16.2, 16.8), (2.8, 5.2), 1.05)
     low = c.Room((_WALL, _EDGE - 1.0), (_WALL, WIDTH - _WALL))
     high = c.Room((_EDGE + 1.0, LENGTH - _WALL), (_WALL, WIDTH - _WALL))
     furnisher.free_standing(low, _TALL_PILLAR, 4)
@@ -187,21 +180,6 @@ def ramp_scene(random: np.random.Generator, glass: bool = True) -> Scene:
             furnisher.free_standing(room, _PALLET, int(random.integers(4, 9)))
     scene = replace(scene, shapes=builder.shapes())
     return scene.mirrored(0) if random.random() < 0.5 else scene
-
-
-def _over(y: float) -> list[tuple[float, float, float]]:
-    """Return the ends of a way up the ramp."""
-    return [(_FOOT, y, 0.0), (_EDGE, y, PLATFORM)]
-
-
-def _route_of_hall() -> NDArray[np.float64]:
-    """Return the route: past the queue, up the ramp, about the platform, down, and back."""
-    lower = [(2.0, 3.0), (7.0, 3.0), (7.0, 8.6)]
-    upper = [(22.0, 8.6), (22.0, 2.0), (28.0, 2.0), (28.0, 23.0), (22.0, 23.0), (22.0, 8.6)]
-    back = [(7.0, 8.6), (7.0, 22.0), (2.0, 22.0)]
-    up = on_floor(_over(8.6))
-    ways = (on_floor(lower), up, on_floor(upper, PLATFORM), up[::-1], on_floor(back))
-    return np.concatenate(ways)
 
 
 def _add_hall(builder: c.Builder) -> None:

@@ -16,12 +16,12 @@ from pipeline.simulation import (
     SimulationParameters,
     Surface,
     build_scene,
-    campus,
+    scans,
     simulate,
     simulate_scans,
 )
 from pipeline.simulation.motion import drift
-from pipeline.simulation.simulate import RING_ELEVATIONS, Drive, measured_ranges, rotation
+from pipeline.simulation.scans import RING_ELEVATIONS, Drive, measured_ranges, rotation
 
 SHORT = {"scans": 40, "rotations_per_scan": 15}
 EXACT = {"range_noise": 0, "range_resolution": 0, "drift_position": 0, "drift_heading": 0}
@@ -215,15 +215,16 @@ def test_rings_are_sixteen_two_degrees_apart(exact_map):
 
 
 def test_rotation_covers_the_circle_evenly_in_the_time_of_a_turn():
-    parameters = SimulationParameters(azimuth_step=2.0, rotation_rate=20.0)
-    turn = rotation(parameters, parameters.columns, np.random.default_rng(0))
-    assert turn.directions.shape == (180 * 16, 3)
-    assert np.linalg.norm(turn.directions, axis=1) == pytest.approx(1)
-    azimuth = np.unwrap(np.arctan2(turn.directions[::16, 1], turn.directions[::16, 0]))
-    assert np.degrees(np.diff(azimuth)) == pytest.approx(2.0)
-    assert turn.delay.min() >= 0
-    assert turn.delay.max() < 1 / 20
-    assert np.array_equal(turn.firings, np.repeat(np.arange(180), 16))
+    columns = SimulationParameters(azimuth_step=2.0).columns
+    share, directions = rotation(columns, np.random.default_rng(0))
+    assert directions.shape == (180 * 16, 3)
+    assert np.linalg.norm(directions, axis=1) == pytest.approx(1)
+    azimuth = np.unwrap(np.arctan2(directions[:, 1], directions[:, 0])).reshape(180, 16)
+    assert np.degrees(np.diff(azimuth, axis=0)) == pytest.approx(2.0)
+    assert np.ptp(azimuth, axis=1) == pytest.approx(0)
+    assert share.shape == (180,)
+    assert share.min() >= 0
+    assert share.max() < 1
 
 
 def test_range_noise_has_its_deviation_and_ranges_are_rounded():
@@ -302,7 +303,7 @@ def test_ghosts_are_less_dense_than_what_stands_still(seed):
 
 
 def few_points_a_block(monkeypatch, points):
-    monkeypatch.setattr(campus, "POINTS_OF_A_BLOCK", points)
+    monkeypatch.setattr(scans, "POINTS_OF_A_BLOCK", points)
 
 
 @pytest.mark.parametrize("points", [1, 17, 999, 5000, 12_345])
@@ -342,7 +343,7 @@ def test_sensor_that_sees_nothing_is_one_clear_line():
 
 
 def test_sensor_that_hardly_sees_anything_is_given_up(monkeypatch):
-    monkeypatch.setattr(campus, "_LONGEST", 0.1)
+    monkeypatch.setattr(scans, "_LONGEST", 0.1)
     with pytest.raises(
         ConfigurationError, match=r"expected 5000 from a block, found \d+ in 4 scans"
     ):

@@ -11,8 +11,8 @@ from pipeline.errors import ConfigurationError, OutputError
 from pipeline.simulation import (
     SimulationParameters,
     Surface,
-    campus,
     output,
+    scans,
     simulate,
     simulate_scans,
     write_simulation,
@@ -96,7 +96,7 @@ def test_maps_to_compare_with_are_of_the_same_scene(tmp_path):
 
 
 def test_stream_of_many_blocks_is_the_map_built_in_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(campus, "POINTS_OF_A_BLOCK", 4000)
+    monkeypatch.setattr(scans, "POINTS_OF_A_BLOCK", 4000)
     monkeypatch.setattr(output, "POINTS_IN_MEMORY", 1000)
     parameters = SimulationParameters(points=11_111, scans=20, scene="street")
     told = []

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Guide, Walkways
+from pipeline.simulation.points import Floats, Random
 
-STEP = 0.1
-"""Time between two samples of a track, in seconds."""
+STEP = 0.1  # time between two samples of a track, in seconds
 
 _UNREST = 3.0 / STEP  # steps over which one who stands forgets how he shifted
 
@@ -24,7 +23,7 @@ class Stop:
     """
 
     node: int
-    place: NDArray[np.float64]
+    place: Floats
     wait: float
     yaw: float | None = None
     seat: float = 0.0
@@ -32,31 +31,14 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A mover over time, every `STEP`.
+    """A mover over time, every `STEP`."""
 
-    Attributes
-    ----------
-    place : (t, 3) float64 array
-    yaw : (t,) float64 array
-        Unwrapped.
-    gone : (t,) float64 array
-        Way gone so far, in metres.
-    pace : (t,) float64 array
-        In metres per second.
-    sitting, seat : (t,) float64 array
-    """
-
-    place: NDArray[np.float64]
-    yaw: NDArray[np.float64]
-    gone: NDArray[np.float64]
-    pace: NDArray[np.float64]
-    sitting: NDArray[np.float64]
-    seat: NDArray[np.float64]
-
-    @property
-    def travelled(self) -> float:
-        """The farthest that it ever is from where it began, in metres."""
-        return float(np.linalg.norm(self.place - self.place[0], axis=1).max())
+    place: Floats  # (t, 3)
+    yaw: Floats  # unwrapped
+    gone: Floats  # way gone so far, in metres
+    pace: Floats  # in metres per second
+    sitting: Floats  # 0 standing, 1 sitting
+    seat: Floats  # its height, in metres
 
 
 def follow(
@@ -64,7 +46,7 @@ def follow(
     guide: Guide,
     speed: float,
     duration: float,
-    random: np.random.Generator,
+    random: Random,
     aside: float = 0.0,
     shift: float = 0.05,
 ) -> Track:
@@ -80,9 +62,9 @@ def follow(
         How far one who stands shifts about, in metres (deviation).
     """
     count = int(np.ceil(duration / STEP)) + 2
-    parts: list[NDArray[np.float64]] = []  # columns of place, yaw and seat
+    parts: list[Floats] = []  # columns of place, yaw and seat
 
-    def add(steps: NDArray[np.float64], yaw: float, seat: float) -> int:
+    def add(steps: Floats, yaw: float, seat: float) -> int:
         parts.append(np.column_stack([steps, np.full((len(steps), 2), [yaw, seat])]))
         return sum(map(len, parts))
 
@@ -91,7 +73,9 @@ def follow(
         if stop is not before:
             way = guide.way(before.node, stop.node, aside)
             way = np.concatenate([before.place[None], way, stop.place[None]])
-            total = add(_paced(way, speed * random.uniform(0.85, 1.15)), np.nan, 0.0)
+            along, pace = way_along(way), speed * random.uniform(0.85, 1.15)
+            steps = np.linspace(0, along[-1], max(2, int(np.ceil(along[-1] / (pace * STEP)))))
+            total = add(interpolated(steps, along, way), np.nan, 0.0)
         stays = max(1, int(stop.wait / STEP))
         if stop is stops[-1]:
             stays = max(stays, count - total)
@@ -104,29 +88,18 @@ def follow(
     return _track(table[:, :3], table[:, 3], table[:, 4], random, shift)
 
 
-def _paced(way: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
-    """Return where one is along a way at each step of time."""
-    along = way_along(way)
-    steps = max(2, int(np.ceil(along[-1] / (speed * STEP))))
-    return interpolated(np.linspace(0, along[-1], steps), along, way)
-
-
-def way_along(line: NDArray[np.float64]) -> NDArray[np.float64]:
+def way_along(line: Floats) -> Floats:
     """Return how far each corner of a line, (n, 3), is from its beginning, in metres."""
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
-def interpolated(
-    at: NDArray[np.float64], known: NDArray[np.float64], rows: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def interpolated(at: Floats, known: Floats, rows: Floats) -> Floats:
     """Return the rows of a table, (n, m), between those known at some numbers, (k,) and (k, m)."""
     return np.stack([np.interp(at, known, column) for column in rows.T], axis=1)
 
 
-def along_lane(
-    line: NDArray[np.float64], at: NDArray[np.float64], reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def along_lane(line: Floats, at: Floats, reach: float) -> tuple[Floats, Floats]:
     """Return places on a lane, (n, 3), and the headings of wheels there, unwrapped.
 
     The lane has corners, (m, 3); the places, (n,), are given by their way from its beginning. The
@@ -138,13 +111,7 @@ def along_lane(
     return interpolated(at, along, line), np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
-def _track(
-    place: NDArray[np.float64],
-    wanted: NDArray[np.float64],
-    seat: NDArray[np.float64],
-    random: np.random.Generator,
-    shift: float,
-) -> Track:
+def _track(place: Floats, wanted: Floats, seat: Floats, random: Random, shift: float) -> Track:
     """Add headings, gait and the unrest of those who stand."""
     count = len(place)
     place = gaussian_filter1d(place, 2.0, axis=0, mode="nearest")
@@ -172,9 +139,7 @@ def _track(
 class Planner:
     """Draws what people do in a scene, for so many seconds."""
 
-    def __init__(
-        self, stage: Stage, walkways: Walkways, duration: float, random: np.random.Generator
-    ) -> None:
+    def __init__(self, stage: Stage, walkways: Walkways, duration: float, random: Random) -> None:
         self._stage, self._walkways = stage, walkways
         self._duration, self._random = duration, random
         self._goals = walkways.draw(random, 24, room=0.5)

@@ -11,8 +11,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Rows: TypeAlias = ArrayLike | Sequence[Any]
-"""A table of numbers, in whatever lists it was written."""
+from pipeline.simulation.points import Floats, Random
+
+Rows: TypeAlias = ArrayLike | Sequence[Any]  # a table of numbers, in whatever lists it was written
 
 _BOX_CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
 _BOX_TRIANGLES = np.array(
@@ -28,17 +29,10 @@ _TUBE_WIDTH = np.array([0.72, 1.0, 1.0, 0.72])
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """Triangles.
+    """Triangles."""
 
-    Attributes
-    ----------
-    vertices : (v, 3) float64 array
-    triangles : (t, 3) int64 array
-        Numbers of vertices.
-    """
-
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    vertices: Floats  # (v, 3)
+    triangles: NDArray[np.int64]  # (t, 3), numbers of vertices
 
     @classmethod
     def joined(cls, parts: Sequence["Mesh"]) -> "Mesh":
@@ -89,12 +83,12 @@ def _triangles(*parts: Sequence[ArrayLike]) -> NDArray[np.int64]:
 
 
 def tube_vertices(
-    ends: NDArray[np.float64],
-    radii: NDArray[np.float64],
+    ends: Floats,
+    radii: Floats,
     sides: int,
-    across: NDArray[np.float64] | None = None,
-    depth: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+    across: Floats | None = None,
+    depth: Floats | None = None,
+) -> Floats:
     """Return the vertices of tapered tubes with rounded ends.
 
     Parameters
@@ -139,7 +133,7 @@ def tubes(ends: Rows, radii: Rows, sides: int = 6) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), tube_triangles(len(pairs), sides))
 
 
-def sheet(grid: NDArray[np.float64]) -> Mesh:
+def sheet(grid: Floats) -> Mesh:
     """Make a surface through a grid of (n, m, 3) points."""
     rows, columns = grid.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
@@ -168,9 +162,7 @@ def extruded(profile: ArrayLike, width: float) -> Mesh:
     return Mesh(np.column_stack([x, y, z]), triangles)
 
 
-def leaves(
-    random: np.random.Generator, count: int, reach: ArrayLike, size: float, hollow: float = 0.5
-) -> Mesh:
+def leaves(random: Random, count: int, reach: ArrayLike, size: float, hollow: float = 0.5) -> Mesh:
     """Make small triangles, of edges about `size` long, in an ellipsoid of half axes `reach`.
 
     With `hollow` 0 they fill it evenly; towards 1 they gather at its surface.

@@ -20,10 +20,10 @@ from pipeline.simulation.meshes.raycasting import Target
 from pipeline.simulation.meshes.stage import Body, Lane, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.meshes.walkways import Walkways
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
 
-STANDS = 0.35
-"""Who never gets farther than this from where he began has no honest truth, in metres."""
+STANDS = 0.35  # who never gets farther than this from where he began has no honest truth, in metres
 
 _AWAY = np.array([0.0, 0.0, -1000.0])
 _PUSHED = 0.75
@@ -34,8 +34,8 @@ class Rigid:
     """Something rigid that moves: its mesh, and where it is every `STEP`."""
 
     mesh: Mesh
-    place: NDArray[np.float64]
-    yaw: NDArray[np.float64]
+    place: Floats
+    yaw: Floats
     surface: Surface
 
     @property
@@ -46,22 +46,13 @@ class Rigid:
 
 @dataclass(frozen=True, slots=True)
 class Movers:
-    """p people and r rigid things; numbers of movers count people first.
-
-    Attributes
-    ----------
-    tracks : tuple of Track
-        Of the people.
-    albedo : (p + r,) float32 array
-    changes_place : (p + r,) bool array
-        Whether it ever leaves the place where it began.
-    """
+    """p people and r rigid things; numbers of movers count people first."""
 
     bodies: Bodies
-    tracks: tuple[Track, ...]
+    tracks: tuple[Track, ...]  # of the people
     rigid: tuple[Rigid, ...]
     albedo: NDArray[np.float32]
-    changes_place: NDArray[np.bool_]
+    changes_place: NDArray[np.bool_]  # whether each ever leaves the place where it began
 
     @property
     def surfaces(self) -> NDArray[np.uint8]:
@@ -69,15 +60,13 @@ class Movers:
         rest = [thing.surface for thing in self.rigid]
         return np.array([Surface.PERSON] * len(self.tracks) + rest, dtype=np.uint8)
 
-    def places(self, time: float) -> NDArray[np.float64]:
+    def places(self, time: float) -> Floats:
         """Return where each mover is: (p + r, 3)."""
         tables = [track.place for track in self.tracks] + [thing.place for thing in self.rigid]
         rows = [_between(table, time) for table in tables]
         return np.array(rows).reshape(-1, 3)
 
-    def target(
-        self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
-    ) -> Target:
+    def target(self, times: Floats, sensor: Floats, reach: float) -> Target:
         """Return what rays can meet, each mover when the rays get to it: (p + r,) times.
 
         People make way for the sensor, (3,), and what is more than `reach` metres from it is left
@@ -98,7 +87,7 @@ class Movers:
         return Target(Body(Mesh.joined(parts), self.surfaces[owner], self.albedo[owner]), owner)
 
     def _people(
-        self, times: NDArray[np.float64], sensor: NDArray[np.float64], reach: float
+        self, times: Floats, sensor: Floats, reach: float
     ) -> tuple[Mesh, NDArray[np.int64]]:
         at = zip(self.tracks, times.tolist(), strict=False)
         rows = np.array([_posture(track, time) for track, time in at]).reshape(-1, 8)
@@ -117,11 +106,11 @@ class Movers:
         return mesh, seen[owner]
 
 
-def _between(table: NDArray[np.float64], time: float) -> NDArray[np.float64]:
+def _between(table: Floats, time: float) -> Floats:
     """Return a row of a table between its samples; none between where a thing jumps."""
     at = min(max(time / STEP, 0.0), len(table) - 1.001)
     low = int(at)
-    begin: NDArray[np.float64] = table[low]
+    begin: Floats = table[low]
     step = table[low + 1] - begin
     return begin if np.abs(step).max() > 20 else begin + step * (at - low)
 
@@ -130,18 +119,13 @@ def _posture(track: Track, time: float) -> tuple[float, ...]:
     """Return place, yaw, way gone, pace, sitting and seat of a person."""
     at = min(max(time / STEP, 0.0), len(track.yaw) - 1.001)
     low = int(at)
-    x, y, z = track.place[low] + (track.place[low + 1] - track.place[low]) * (at - low)
-    yaw = track.yaw[low] + (track.yaw[low + 1] - track.yaw[low]) * (at - low)
-    gone = track.gone[low] + (track.gone[low + 1] - track.gone[low]) * (at - low)
-    return (x, y, z, yaw, gone, track.pace[low], track.sitting[low], track.seat[low])
+    begin, end = (np.array([*track.place[n], track.yaw[n], track.gone[n]]) for n in (low, low + 1))
+    held = (track.pace[low], track.sitting[low], track.seat[low])
+    return (*(begin + (end - begin) * (at - low)), *held)
 
 
 def populate(
-    stage: Stage,
-    walkways: Walkways,
-    parameters: MeshParameters,
-    duration: float,
-    random: np.random.Generator,
+    stage: Stage, walkways: Walkways, parameters: MeshParameters, duration: float, random: Random
 ) -> Movers:
     """Draw who and what moves."""
     planner = Planner(stage, walkways, duration, random)
@@ -168,7 +152,8 @@ def populate(
         rigid.append(_driver(driven[int(random.integers(len(driven)))], duration, random))
     rigid += _doors(stage, duration, random, parameters.vehicles)
     total = len(tracks) + len(rigid)
-    changes = [track.travelled > STANDS for track in tracks] + [True] * len(rigid)
+    away = [np.linalg.norm(track.place - track.place[0], axis=1).max() for track in tracks]
+    changes = [farthest > STANDS for farthest in away] + [True] * len(rigid)
     return Movers(
         bodies=draw_bodies(random, len(tracks), float(random.uniform(0.1, 0.7))),
         tracks=tuple(tracks),
@@ -178,7 +163,7 @@ def populate(
     )
 
 
-def _visit(track: Track, random: np.random.Generator) -> Track:
+def _visit(track: Track, random: Random) -> Track:
     """Return who is there for 4 to 25 seconds only, and comes walking if he ever walks."""
     walks = np.flatnonzero(track.pace > 0.3)
     begin = random.choice(walks) if len(walks) else random.integers(len(track.pace))
@@ -203,7 +188,7 @@ def seat_people(stage: Stage, count: int) -> None:
     stage.mesh(people_mesh(bodies, postures)[0], Surface.PERSON)
 
 
-def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
+def _driver(lane: Lane, duration: float, random: Random) -> Rigid:
     """Drive along a lane again and again, with stops, or pull out once after a long stand."""
     kind = str(random.choice(lane.kinds))
     count = int(np.ceil(duration / STEP)) + 2
@@ -223,21 +208,16 @@ def _driver(lane: Lane, duration: float, random: np.random.Generator) -> Rigid:
     place[at > length] = _AWAY
     mesh = VEHICLES[kind](random)
     if kind == "bicycle":
-        mesh = Mesh.joined([mesh, _rider(random)])
+        body, zero = draw_bodies(random, 1, 0.2), np.zeros(1)
+        stride, lean = zero + random.uniform(0.2, 0.8), zero + random.uniform(0.2, 0.6)
+        saddle = np.array([[-0.2, 0.0, 0.0]])
+        rider = Postures(saddle, zero, zero, stride, zero + 0.55, zero + 0.88, lean)
+        mesh = Mesh.joined([mesh, people_mesh(body, rider)[0]])
     surface = Surface.MACHINE if kind in ("forklift", "robot") else Surface.VEHICLE
     return Rigid(mesh, place, yaw, surface)
 
 
-def _rider(random: np.random.Generator) -> Mesh:
-    """Make a person on a bicycle."""
-    body, zero = draw_bodies(random, 1, 0.2), np.zeros(1)
-    stride, lean = zero + random.uniform(0.2, 0.8), zero + random.uniform(0.2, 0.6)
-    place = np.array([[-0.2, 0.0, 0.0]])
-    posture = Postures(place, zero, zero, stride, zero + 0.55, zero + 0.88, lean)
-    return people_mesh(body, posture)[0]
-
-
-def _doors(stage: Stage, duration: float, random: np.random.Generator, most: int) -> list[Rigid]:
+def _doors(stage: Stage, duration: float, random: Random, most: int) -> list[Rigid]:
     """Open and close some doors."""
     count = min(len(stage.doors), int(random.integers(0, most + 1)))
     rigid = []

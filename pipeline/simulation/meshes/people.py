@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, boxes, tube_triangles, tube_vertices
+from pipeline.simulation.points import Columns, Floats, Random
 
 SIDES = 6
 _DEPTH = np.array([1.0, 0.62, 0.66, 1.0, 1, 1, 1, 1, 1, 1, 1, 1, 0.8, 0.8, 0.7])
@@ -25,78 +26,38 @@ _RADII = np.array(
 
 
 @dataclass(frozen=True, slots=True)
-class Bodies:
-    """How p people are built.
+class Bodies(Columns):
+    """How p people are built."""
 
-    Attributes
-    ----------
-    height : (p,) float64 array
-        In metres.
-    build : (p,) float64 array
-        How stout, about 1.
-    coat : (p,) float64 array
-        How long a coat or skirt hangs, as a share of the thigh; 0 for none.
-    swing : (p,) float64 array
-        How far arms swing, about 1.
-    carried : tuple of Mesh
-        What each carries, pulls or pushes, in the frame of the body (x ahead); perhaps nothing.
-    """
-
-    height: NDArray[np.float64]
-    build: NDArray[np.float64]
-    coat: NDArray[np.float64]
-    swing: NDArray[np.float64]
-    carried: tuple[Mesh, ...]
-
-    def __len__(self) -> int:
-        return len(self.height)
-
-    def take(self, which: NDArray[np.intp]) -> "Bodies":
-        """Return some of the people."""
-        carried = tuple(self.carried[number] for number in which)
-        some = (self.height[which], self.build[which], self.coat[which], self.swing[which])
-        return Bodies(*some, carried)
+    height: Floats  # in metres
+    build: Floats  # how stout, about 1
+    coat: Floats  # how long a coat or skirt hangs, as a share of the thigh; 0: none
+    swing: Floats  # how far arms swing, about 1
+    carried: NDArray[np.object_]  # the `Mesh` of what each carries, x ahead; perhaps nothing
 
 
 @dataclass(frozen=True, slots=True)
-class Postures:
-    """Where p people are, and how they hold themselves.
+class Postures(Columns):
+    """Where p people are, and how they hold themselves."""
 
-    Attributes
-    ----------
-    place : (p, 3) float64 array
-        The ground under them.
-    yaw : (p,) float64 array
-        Where they look.
-    phase : (p,) float64 array
-        Of the gait, in radians.
-    stride : (p,) float64 array
-        How far they step out: 0 standing, 1 a brisk walk.
-    sitting : (p,) float64 array
-        0 standing, 1 sitting.
-    seat : (p,) float64 array
-        Height of the seat above the ground.
-    lean : (p,) float64 array
-        Of the upper body ahead, in radians.
-    """
-
-    place: NDArray[np.float64]
-    yaw: NDArray[np.float64]
-    phase: NDArray[np.float64]
-    stride: NDArray[np.float64]
-    sitting: NDArray[np.float64]
-    seat: NDArray[np.float64]
-    lean: NDArray[np.float64]
+    place: Floats  # (p, 3), the ground under them
+    yaw: Floats  # where they look
+    phase: Floats  # of the gait, in radians
+    stride: Floats  # how far they step out: 0 standing, 1 a brisk walk
+    sitting: Floats  # 0 standing, 1 sitting
+    seat: Floats  # its height above the ground
+    lean: Floats  # of the upper body ahead, in radians
 
 
-def draw_bodies(random: np.random.Generator, count: int, burdens: float = 0.5) -> Bodies:
+def draw_bodies(random: Random, count: int, burdens: float = 0.5) -> Bodies:
     """Draw people of all sizes, a share of them with bags, trolleys or prams."""
     height = np.clip(random.normal(1.71, 0.1, count), 1.45, 2.0)
     child = random.random(count) < 0.07
     height = np.where(child, random.uniform(1.0, 1.4, count), height)
-    carried = tuple(
-        _burden(random, size) if random.random() < burdens else Mesh.joined([]) for size in height
-    )
+    carried = np.empty(count, dtype=object)
+    for number, size in enumerate(height):
+        laden = random.random() < burdens
+        carried[number] = _burden(random, size) if laden else Mesh.joined([])
     return Bodies(
         height=height,
         build=np.clip(random.normal(1.05, 0.13, count), 0.8, 1.5),
@@ -106,7 +67,7 @@ def draw_bodies(random: np.random.Generator, count: int, burdens: float = 0.5) -
     )
 
 
-def _burden(random: np.random.Generator, height: float) -> Mesh:
+def _burden(random: Random, height: float) -> Mesh:
     """Draw something that a person carries, pulls or pushes."""
     u = random.uniform
     kind = random.choice(["backpack", "bag", "shoulder", "trolley", "pram", "box"],
@@ -130,7 +91,7 @@ def _burden(random: np.random.Generator, height: float) -> Mesh:
     return boxes([0.36, 0, 0.62 * height, u(0.25, 0.4), u(0.3, 0.5), u(0.2, 0.4)])
 
 
-def limbs(bodies: Bodies, postures: Postures) -> NDArray[np.float64]:
+def limbs(bodies: Bodies, postures: Postures) -> Floats:
     """Return where each limb begins and ends, in the frame of each body: (p, limbs, 2, 3)."""
     tall = bodies.height
     phase, step = postures.phase, postures.stride
@@ -181,7 +142,7 @@ def limbs(bodies: Bodies, postures: Postures) -> NDArray[np.float64]:
     return place
 
 
-def _down(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _down(angle: Floats) -> Floats:
     """Return unit vectors that hang down, swung ahead by an angle."""
     return np.stack([np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=1)
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -19,29 +18,20 @@ from pipeline.simulation.meshes.itineraries import (
 from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters
 from pipeline.simulation.meshes.stage import Lane, Stage
 from pipeline.simulation.meshes.walkways import Walkways
+from pipeline.simulation.points import Floats, Random
 
 _FORGOTTEN = 25.0  # scans over which the error of the pose is forgotten
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The sensor's way: s scans.
+    """The sensor's way: s scans."""
 
-    Attributes
-    ----------
-    times : (s,) float64 array
-        When each scan begins, in seconds.
-    true, true_in_map, estimated : (s, 3, 4) float64 array
-        From the sensor's frame to the scene's, and to the map's: truly and as estimated.
-    velocity : (s, 3) float64 array
-        In the scene's frame.
-    """
-
-    times: NDArray[np.float64]
-    true: NDArray[np.float64]
-    true_in_map: NDArray[np.float64]
-    estimated: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    times: Floats  # when each scan begins, in seconds
+    true: Floats  # (s, 3, 4), from the sensor's frame to the scene's
+    true_in_map: Floats  # (s, 3, 4), from the sensor's frame to the map's
+    estimated: Floats  # (s, 3, 4), the same as SLAM has it
+    velocity: Floats  # (s, 3), in the scene's frame
 
 
 def longest(parameters: MeshParameters) -> float:
@@ -53,7 +43,7 @@ def longest(parameters: MeshParameters) -> float:
 
 
 def sensor_track(
-    stage: Stage, walkways: Walkways, parameters: MeshParameters, random: np.random.Generator
+    stage: Stage, walkways: Walkways, parameters: MeshParameters, random: Random
 ) -> Track:
     """Draw the way of the sensor's foot."""
     duration = longest(parameters)
@@ -75,9 +65,7 @@ def sensor_track(
     return follow(stops, walkways.guide(goals), parameters.speed, duration, random, shift=0.0)
 
 
-def _along(
-    lane: Lane, parameters: MeshParameters, duration: float, random: np.random.Generator
-) -> Track:
+def _along(lane: Lane, parameters: MeshParameters, duration: float, random: Random) -> Track:
     """Drive along a lane, once, as far as time goes."""
     count = int(np.ceil(duration / STEP)) + 2
     length = way_along(lane.line)[-1]
@@ -95,7 +83,7 @@ def _along(
     return Track(place, gaussian_filter1d(yaw, 5.0), gone, pace, zero, zero)
 
 
-def drive(track: Track, parameters: MeshParameters, random: np.random.Generator) -> Drive:
+def drive(track: Track, parameters: MeshParameters, random: Random) -> Drive:
     """Choose the times of the scans, and say where the sensor is and is believed to be."""
     samples = (np.arange(len(track.yaw)) * STEP).astype(np.float64)
     times = _scan_times(track, samples, parameters)
@@ -113,16 +101,14 @@ def drive(track: Track, parameters: MeshParameters, random: np.random.Generator)
     return Drive(times, true, _in_map(true, true[0]), believed, (later - place) / 0.1)
 
 
-def _in_map(poses: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_map(poses: Floats, first: Floats) -> Floats:
     """Take poses to the map's frame: level, with the first scan at its origin, as SLAM has it."""
     level = Rotation.from_euler("z", -np.arctan2(first[1, 0], first[0, 0])).as_matrix()
     place = (poses[:, :, 3] - first[:, 3]) @ level.T
     return np.concatenate([level @ poses[:, :, :3], place[:, :, None]], axis=2)
 
 
-def _scan_times(
-    track: Track, samples: NDArray[np.float64], parameters: MeshParameters
-) -> NDArray[np.float64]:
+def _scan_times(track: Track, samples: Floats, parameters: MeshParameters) -> Floats:
     """Return when scans enter the map: every so often, or only after so much way."""
     times = np.arange(parameters.scans) * parameters.interval
     if parameters.key_distance and parameters.mode is not DriveMode.STAND:
@@ -132,13 +118,11 @@ def _scan_times(
         reached = marks <= way[-1]  # one at least, of a sensor that stands all the time
         times = samples[np.searchsorted(way, marks[reached])]
         times = times[np.append(True, np.diff(times) > 0)]
-    in_time: NDArray[np.float64] = times[times < samples[-1] - 1.0]
+    in_time: Floats = times[times < samples[-1] - 1.0]
     return in_time
 
 
-def _estimated(
-    true: NDArray[np.float64], parameters: MeshParameters, random: np.random.Generator
-) -> NDArray[np.float64]:
+def _estimated(true: Floats, parameters: MeshParameters, random: Random) -> Floats:
     """Return poses with an error that wanders, jitters, and leaves a gap at a loop closure."""
     count = len(true)
     angle = np.radians(parameters.drift_angle) * np.array([0.3, 0.3, 1.0])
@@ -159,7 +143,7 @@ def _estimated(
     return _in_map(believed, true[0])
 
 
-def _ornstein_uhlenbeck(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+def _ornstein_uhlenbeck(random: Random, count: int) -> Floats:
     """Return six wandering errors of deviation 1, smooth from scan to scan."""
     kept = np.exp(-1 / _FORGOTTEN)
     steps = random.normal(size=(count, 6)) * np.sqrt(1 - kept**2)

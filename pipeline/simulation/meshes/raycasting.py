@@ -1,6 +1,6 @@
 """Rays that meet triangles: what stands, what moves, glass that passes and mirrors that turn."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
+from pipeline.simulation.points import Columns, Floats, Random
 
 STATIC = -1
 _GLASS_SPARKLE = 0.55
@@ -37,47 +38,19 @@ def open3d() -> ModuleType:
 
 
 @dataclass(frozen=True, slots=True)
-class Hits:
-    """What n rays meet.
+class Hits(Columns):
+    """What n rays meet."""
 
-    Attributes
-    ----------
-    distance : (n,) float64 array
-        Infinite where nothing is met; along the whole way where a mirror turned the ray.
-    surface : (n,) uint8 array
-    albedo, cosine : (n,) float32 array
-        Share of light that returns, and of the angle between ray and normal.
-    owner : (n,) int64 array
-        Number of the mover that is met, `STATIC` for none.
-    mirrored : (n,) bool array
-        Whether a mirror turned the ray.
-    """
-
-    distance: NDArray[np.float64]
+    distance: Floats  # infinite where nothing is met; the whole way where a mirror turned the ray
     surface: NDArray[np.uint8]
-    albedo: NDArray[np.float32]
-    cosine: NDArray[np.float32]
-    owner: NDArray[np.int64]
-    mirrored: NDArray[np.bool_]
-
-    def of(self, rays: NDArray[np.int64]) -> "Hits":
-        """Return those of some rays."""
-        return Hits(*(getattr(self, field.name)[rays] for field in fields(self)))
-
-    def take(self, other: "Hits", where: NDArray[np.bool_]) -> "Hits":
-        """Return these hits, but others where told."""
-        names = [field.name for field in fields(self)]
-        return Hits(*(np.where(where, getattr(other, name), getattr(self, name)) for name in names))
+    albedo: NDArray[np.float32]  # share of light that returns
+    cosine: NDArray[np.float32]  # of the angle between ray and normal
+    owner: NDArray[np.int64]  # number of the mover that is met, `STATIC` for none
+    mirrored: NDArray[np.bool_]  # whether a mirror turned the ray
 
 
 class Target:
-    """Triangles that rays are cast at.
-
-    Parameters
-    ----------
-    owner : (t,) int64 array, optional
-        The mover each triangle belongs to; all stand still if not given.
-    """
+    """Triangles that rays are cast at, and the mover that each belongs to, if any moves."""
 
     def __init__(self, body: Body, owner: NDArray[np.int64] | None = None) -> None:
         self._package = open3d()
@@ -91,56 +64,48 @@ class Target:
                 self._package.core.Tensor(np.ascontiguousarray(body.mesh.triangles, np.uint32)),
             )
 
-    def hits(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
+    def hits(self, origins: Floats, directions: Floats) -> Hits:
         """Return the first hit of each ray."""
         count = len(origins)
-        if self.empty or not count:
-            return _nothing(count)
-        answer = self._cast(origins, directions)
-        distance = answer["t_hit"].numpy().astype(np.float64)
-        met = np.isfinite(distance)
-        triangle = np.where(met, answer["primitive_ids"].numpy().astype(np.int64), 0)
-        normals = answer["primitive_normals"].numpy()
-        cosine = np.abs(np.sum(normals * directions, axis=1)).astype(np.float32)
-        owner = np.full(count, STATIC) if self._owner is None else self._owner[triangle]
-        return Hits(
-            distance,
-            self._body.surface[triangle],
-            self._body.albedo[triangle],
-            np.where(met, cosine, 0).astype(np.float32),
-            np.where(met, owner, STATIC),
+        hits = Hits(
+            np.full(count, np.inf),
+            np.zeros(count, dtype=np.uint8),
+            np.zeros(count, dtype=np.float32),
+            np.zeros(count, dtype=np.float32),
+            np.full(count, STATIC),
             np.zeros(count, dtype=np.bool_),
         )
+        if self.empty or not count:
+            return hits
+        answer = self._cast(origins, directions)
+        distance = answer["t_hit"].numpy()
+        met = np.flatnonzero(np.isfinite(distance))
+        triangle = answer["primitive_ids"].numpy()[met].astype(np.int64)
+        normals = answer["primitive_normals"].numpy()[met]
+        hits.distance[met] = distance[met]
+        hits.surface[met] = self._body.surface[triangle]
+        hits.albedo[met] = self._body.albedo[triangle]
+        hits.cosine[met] = np.abs(np.sum(normals * directions[met], axis=1))
+        if self._owner is not None:
+            hits.owner[met] = self._owner[triangle]
+        return hits
 
-    def normals(
-        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def normals(self, origins: Floats, directions: Floats) -> Floats:
         """Return the unit normal where each ray meets something."""
         normals = self._cast(origins, directions)["primitive_normals"].numpy()
         return np.asarray(normals, np.float64)
 
-    def _cast(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Any:
+    def _cast(self, origins: Floats, directions: Floats) -> Any:
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
         return self._scene.cast_rays(self._package.core.Tensor(rays), nthreads=1)
 
-    def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def clearance(self, points: Floats) -> Floats:
         """Return how far each point is from the nearest triangle."""
         if self.empty:
             return np.full(len(points), np.inf)
         tensor = self._package.core.Tensor(points.astype(np.float32))
         away = self._scene.compute_distance(tensor, nthreads=1).numpy()
         return np.asarray(away, np.float64)
-
-
-def _nothing(count: int) -> Hits:
-    return Hits(
-        np.full(count, np.inf),
-        np.zeros(count, dtype=np.uint8),
-        np.zeros(count, dtype=np.float32),
-        np.zeros(count, dtype=np.float32),
-        np.full(count, STATIC),
-        np.zeros(count, dtype=np.bool_),
-    )
 
 
 class Caster:
@@ -151,19 +116,13 @@ class Caster:
         self._glass = Target(stage.body(Matter.GLASS))
         self._mirror = Target(stage.body(Matter.MIRROR))
 
-    def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def clearance(self, points: Floats) -> Floats:
         """Return how far each point is from anything that stands."""
         targets = (self._solid, self._glass, self._mirror)
-        nearest: NDArray[np.float64] = np.min([each.clearance(points) for each in targets], axis=0)
+        nearest: Floats = np.min([each.clearance(points) for each in targets], axis=0)
         return nearest
 
-    def cast(
-        self,
-        origins: NDArray[np.float64],
-        directions: NDArray[np.float64],
-        movers: Target,
-        random: np.random.Generator,
-    ) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, movers: Target, random: Random) -> Hits:
         """Return what each ray meets: glass now and then, and what is seen in mirrors."""
         hits = self._through_glass(origins, directions, movers, random)
         mirror = self._mirror.hits(origins, directions)
@@ -184,16 +143,12 @@ class Caster:
         return hits
 
     def _through_glass(
-        self,
-        origins: NDArray[np.float64],
-        directions: NDArray[np.float64],
-        movers: Target,
-        random: np.random.Generator,
+        self, origins: Floats, directions: Floats, movers: Target, random: Random
     ) -> Hits:
         hits = self._solid.hits(origins, directions)
         moving = movers.hits(origins, directions)
-        hits = hits.take(moving, moving.distance < hits.distance)
+        hits = hits.replaced(moving, moving.distance < hits.distance)
         glass = self._glass.hits(origins, directions)
         returns = _GLASS_DUST + _GLASS_SPARKLE * glass.cosine.astype(np.float64) ** 60
         shown = (glass.distance < hits.distance) & (random.random(len(origins)) < returns)
-        return hits.take(glass, shown)
+        return hits.replaced(glass, shown)

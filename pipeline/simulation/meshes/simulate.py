@@ -11,12 +11,13 @@ from pipeline.simulation.meshes.movers import populate, seat_people
 from pipeline.simulation.meshes.parameters import MeshParameters, SensorKind
 from pipeline.simulation.meshes.poses import drive, longest, sensor_track
 from pipeline.simulation.meshes.raycasting import Caster, Hits
-from pipeline.simulation.meshes.scenes import build_stage
+from pipeline.simulation.meshes.scenes import SCENES
+from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
 from pipeline.simulation.parameters import nothing_seen
-from pipeline.simulation.points import Points
-from pipeline.simulation.simulate import SimulatedScan
+from pipeline.simulation.points import Floats, Points, Random
+from pipeline.simulation.scans import SimulatedScan, ray_directions
 
 _RINGS = {  # of Velodyne's VLP-16, HDL-32E and HDL-64E (its lower half is coarser), and OS1-64
     SensorKind.VLP16: np.linspace(-15.0, 15.0, 16),
@@ -29,35 +30,27 @@ _MID360_TURNS = 61.803  # turns of the prism a second, and of its nodding: never
 _MID360_NODS = 23.607
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
-    """The rays of one scan.
+def sweep(
+    kind: SensorKind, rays: int, number: int, rate: float, random: Random
+) -> tuple[Floats, Floats]:
+    """Return the rays of a scan, about so many.
 
-    Attributes
-    ----------
+    Returns
+    -------
     directions : (n, 3) float64 array
         Unit vectors in the sensor's frame: x ahead, y left, z up.
     share : (n,) float64 array
         When each fires, as a share of the scan.
     """
-
-    directions: NDArray[np.float64]
-    share: NDArray[np.float64]
-
-
-def sweep(
-    kind: SensorKind, rays: int, number: int, rate: float, random: np.random.Generator
-) -> Sweep:
-    """Return the rays of a scan, about so many."""
     if kind is SensorKind.MID360:
         return _rosette(rays, number, rate, random)
     elevations = np.radians(_RINGS[kind])
     columns = max(4, round(rays / len(elevations)))
     share = np.repeat((np.arange(columns) + random.random()) / columns, len(elevations))
-    return _directed(2 * np.pi * share, np.tile(elevations, columns), share)
+    return ray_directions(2 * np.pi * share, np.tile(elevations, columns)), share
 
 
-def _rosette(rays: int, number: int, rate: float, random: np.random.Generator) -> Sweep:
+def _rosette(rays: int, number: int, rate: float, random: Random) -> tuple[Floats, Floats]:
     """Return four lines of a turning, nodding beam, which go elsewhere in each scan."""
     share = (np.arange(rays // 4) + 0.5) / (rays // 4)
     time = np.repeat((number * 1.0371 + share) / rate, 4) + random.random() * 1e-3
@@ -67,15 +60,7 @@ def _rosette(rays: int, number: int, rate: float, random: np.random.Generator) -
     # An angle by arcsine: lines are as dense in the middle as at the edges.
     spread = 0.5 + np.arcsin(nod) / np.pi
     elevation = _MID360_LOW + (_MID360_HIGH - _MID360_LOW) * spread
-    return _directed(azimuth, elevation, np.repeat(share, 4))
-
-
-def _directed(
-    azimuth: NDArray[np.float64], elevation: NDArray[np.float64], share: NDArray[np.float64]
-) -> Sweep:
-    flat = np.cos(elevation)
-    across, aside = flat * np.cos(azimuth), flat * np.sin(azimuth)
-    return Sweep(np.stack([across, aside, np.sin(elevation)], axis=1), share)
+    return ray_directions(azimuth, elevation), np.repeat(share, 4)
 
 
 _EDGE = 0.15  # metres between two ranges that a ray on an edge would mix
@@ -95,32 +80,21 @@ class _Stream(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class MeshMap:
-    """A map, and the truth about it.
-
-    Attributes
-    ----------
-    poses, true_poses : (s, 3, 4) float64 array
-        From the sensor's frame to the map's, as estimated and truly.
-    """
+    """A map, and the truth about it."""
 
     parameters: MeshParameters
     points: Points
-    poses: NDArray[np.float64]
-    true_poses: NDArray[np.float64]
+    poses: Floats  # (s, 3, 4), from the sensor's frame to the map's, as estimated
+    true_poses: Floats  # and truly
 
 
 class Recording:
-    """A scene, what moves in it, and the way of the sensor.
-
-    Raises
-    ------
-    MissingPackageError
-        When Open3D is not installed.
-    """
+    """A scene, what moves in it, and the way of the sensor."""
 
     def __init__(self, parameters: MeshParameters) -> None:
         self.parameters = parameters
-        self.stage = build_stage(parameters, self._random(_Stream.SCENE))
+        self.stage = Stage(self._random(_Stream.SCENE))
+        SCENES[parameters.kind](self.stage, parameters)
         seat_people(self.stage, parameters.seated)
         self.caster = Caster(self.stage)
         spacing = 0.35 if parameters.kind.indoors else 0.6
@@ -130,7 +104,7 @@ class Recording:
         track = sensor_track(self.stage, walkways, parameters, self._random(_Stream.DRIVE))
         self.drive = drive(track, parameters, self._random(_Stream.DRIFT))
 
-    def _random(self, stream: _Stream, number: int = 0) -> np.random.Generator:
+    def _random(self, stream: _Stream, number: int = 0) -> Random:
         drive_number = 0 if stream is _Stream.SCENE else self.parameters.drive
         key = (int(stream), drive_number, number)
         return np.random.default_rng(np.random.SeedSequence(self.parameters.seed, spawn_key=key))
@@ -139,26 +113,31 @@ class Recording:
         """Return the points of a scan in the map's frame, with what moves or without."""
         told, random = self.parameters, self._random(_Stream.SENSOR, number)
         start, true = float(self.drive.times[number]), self.drive.true[number]
-        turn = sweep(told.sensor, told.rays, number, told.rate, random)
-        origins = true[:, 3] + turn.share[:, None] / told.rate * self.drive.velocity[number]
-        aimed = turn.directions @ true[:, :3].T
+        directions, share = sweep(told.sensor, told.rays, number, told.rate, random)
+        origins = true[:, 3] + share[:, None] / told.rate * self.drive.velocity[number]
+        aimed = directions @ true[:, :3].T
         hits, other = self._cast(number, (origins, aimed), movers, random)
-        met = self._returned(hits, random)
-        distance = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
+        met = np.isfinite(hits.distance)
+        distance = np.where(met, hits.distance, 0.0)
+        # Not those that are lost at random, grazed, dark or far.
+        near = np.minimum(1.0, (0.25 * told.max_range / np.maximum(distance, 0.1)) ** 2)
+        signal = told.sensitivity * hits.albedo * hits.cosine * near
+        chance = np.minimum(1.0, signal / _FULL_SIGNAL) * (1 - told.dropouts)
+        met &= random.random(len(met)) < chance
         apart = np.where(np.isfinite(other.distance), other.distance - distance, 0.0)
         between = met & (np.abs(apart) > _EDGE)
-        share = np.where(between, random.random(len(met)), 0.0)
-        ranges = distance + share * apart + random.normal(size=len(met)) * told.range_noise
+        mix = np.where(between, random.random(len(met)), 0.0)
+        ranges = distance + mix * apart + random.normal(size=len(met)) * told.range_noise
         seen = origins + ranges[:, None] * aimed
         flat = np.hypot(*(seen - true[:, 3])[:, :2].T)
         met &= (ranges > told.min_range) & (ranges < told.max_range) & (flat > told.own_body)
-        moving, known = self._truth(hits, other, share)
+        moving, known = self._truth(hits, other, mix)
         noise = random.normal(size=len(met)) * 6
         kept = met & (random.random(len(met)) < told.keep)
         points = Points(
             xyz=to_map(self.drive.estimated[number], to_sensor(true, seen)),
             intensity=np.round(hits.albedo * 200 + noise).clip(0, 255).astype(np.float32),
-            time=start + turn.share / told.rate,
+            time=start + share / told.rate,
             surface=hits.surface,
             moving=moving,
             known=known,
@@ -167,7 +146,7 @@ class Recording:
         return points.take(kept).filtered(told.scan_voxel)
 
     def _truth(
-        self, hits: Hits, other: Hits, share: NDArray[np.float64]
+        self, hits: Hits, other: Hits, share: Floats
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Say which rays meet what changes its place, and for which that can be told.
 
@@ -186,11 +165,7 @@ class Recording:
         return first | second, ~unclear
 
     def _cast(
-        self,
-        number: int,
-        rays: tuple[NDArray[np.float64], NDArray[np.float64]],
-        movers: bool,
-        random: np.random.Generator,
+        self, number: int, rays: tuple[Floats, Floats], movers: bool, random: Random
     ) -> tuple[Hits, Hits]:
         """Return what each ray meets, and what its other half meets where it may be on an edge."""
         told, (origins, aimed) = self.parameters, rays
@@ -209,21 +184,11 @@ class Recording:
         own = np.arange(len(aimed))
         other = own.copy()
         other[halves] = len(aimed) + np.arange(len(halves))
-        return hits.of(own), hits.of(other)
-
-    def _returned(self, hits: Hits, random: np.random.Generator) -> NDArray[np.bool_]:
-        """Say which rays return: not those that are lost at random, grazed, dark or far."""
-        told = self.parameters
-        distance = np.where(np.isfinite(hits.distance), hits.distance, 1e6)
-        near = np.minimum(1.0, (0.25 * told.max_range / np.maximum(distance, 0.1)) ** 2)
-        signal = told.sensitivity * hits.albedo * hits.cosine * near
-        chance = np.minimum(1.0, signal / _FULL_SIGNAL) * (1 - told.dropouts)
-        returned: NDArray[np.bool_] = random.random(len(distance)) < chance
-        return returned & np.isfinite(hits.distance)
+        return hits.take(own), hits.take(other)
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    unit: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+def _unit(vectors: Floats) -> Floats:
+    unit: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return unit
 
 

@@ -9,18 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
 
 T = TypeVar("T")
 
-At: TypeAlias = tuple[float, float, float, float]
-"""Where something stands: x, y, z and its yaw."""
-
-Thing: TypeAlias = Callable[["Stage", At], None]
-"""What puts something somewhere."""
-
-Height: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-"""The height of a floor at some x and y."""
+At: TypeAlias = tuple[float, float, float, float]  # where something stands: x, y, z and its yaw
+Thing: TypeAlias = Callable[["Stage", At], None]  # what puts something somewhere
+Height: TypeAlias = Callable[[Floats, Floats], Floats]  # the height of a floor at some x and y
 
 
 class Matter(IntEnum):
@@ -33,19 +29,11 @@ class Matter(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Triangles of one matter, with what each of them is made of.
-
-    Attributes
-    ----------
-    surface : (t,) uint8 array
-        `Surface` of each triangle.
-    albedo : (t,) float32 array
-        Share of light that each triangle returns.
-    """
+    """Triangles of one matter, with what each of them is made of."""
 
     mesh: Mesh
-    surface: NDArray[np.uint8]
-    albedo: NDArray[np.float32]
+    surface: NDArray[np.uint8]  # (t,), the `Surface` of each triangle
+    albedo: NDArray[np.float32]  # (t,), share of light that each triangle returns
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +71,7 @@ class Door:
 class Lane:
     """A way for wheels: (n, 3) corners on the ground, and what drives there."""
 
-    line: NDArray[np.float64]
+    line: Floats
     kinds: tuple[str, ...]
     speed: tuple[float, float]
     closed: bool = False
@@ -96,32 +84,16 @@ def level(height: float) -> Height:
 
 @dataclass(slots=True)
 class Stage:
-    """A scene while it is built, and afterwards.
+    """A scene while it is built, and afterwards."""
 
-    Attributes
-    ----------
-    random : numpy.random.Generator
-        What furnishes it.
-    floors : list of Floor
-        Where people may walk, if nothing stands there.
-    links : list of (n, 3) float64 array
-        Ways that join floors, such as stairs.
-    seats, doors, lanes : list
-        Where people sit, what they open, and where wheels go.
-    queue : (n, 3) float64 array, optional
-        Slots of a queue, the counter first.
-    robot_lane : Lane, optional
-        Where the sensor drives; without one it goes where people go.
-    """
-
-    random: np.random.Generator
-    floors: list[Floor] = field(default_factory=list)
-    links: list[NDArray[np.float64]] = field(default_factory=list)
+    random: Random  # furnishes it
+    floors: list[Floor] = field(default_factory=list)  # walked on, if nothing stands there
+    links: list[Floats] = field(default_factory=list)  # (n, 3) ways that join floors: stairs
     seats: list[Seat] = field(default_factory=list)
     doors: list[Door] = field(default_factory=list)
     lanes: list[Lane] = field(default_factory=list)
-    queue: NDArray[np.float64] | None = None
-    robot_lane: Lane | None = None
+    queue: Floats | None = None  # (n, 3), its slots, the counter first
+    robot_lane: Lane | None = None  # of the sensor; without one it goes where people go
     _parts: list[tuple[Mesh, Surface, float, Matter]] = field(default_factory=list)
 
     def mesh(

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.simulation.meshes.mesh import Mesh, boxes, corners, extruded, tubes
+from pipeline.simulation.points import Random
 
 
-def car(random: np.random.Generator) -> Mesh:
+def car(random: Random) -> Mesh:
     """Make a car: hatchback, saloon or estate."""
     u = random.uniform
     length, width, height = u(3.7, 4.9), u(1.65, 1.9), u(1.4, 1.7)
@@ -25,7 +26,7 @@ def car(random: np.random.Generator) -> Mesh:
     return Mesh.joined([extruded(body, width), extruded(cabin, width * 0.86), wheels])
 
 
-def van(random: np.random.Generator) -> Mesh:
+def van(random: Random) -> Mesh:
     """Make a delivery van."""
     u = random.uniform
     length, width, height = u(4.8, 6.5), u(1.9, 2.1), u(1.9, 2.7)
@@ -37,7 +38,7 @@ def van(random: np.random.Generator) -> Mesh:
     return Mesh.joined([extruded(side, width), _wheels(0.62 * half, width, 0.34)])
 
 
-def bus(random: np.random.Generator) -> Mesh:
+def bus(random: Random) -> Mesh:
     """Make a bus or a lorry."""
     u = random.uniform
     length, height = u(7.0, 12.0), u(2.8, 3.4)
@@ -45,7 +46,7 @@ def bus(random: np.random.Generator) -> Mesh:
     return Mesh.joined([body, _wheels(0.35 * length, 2.5, 0.48)])
 
 
-def bicycle(random: np.random.Generator) -> Mesh:
+def bicycle(random: Random) -> Mesh:
     """Make a bicycle, without its rider."""
     radius, base = random.uniform(0.31, 0.35), random.uniform(0.98, 1.12)
     angle = np.linspace(0, 2 * np.pi, 13)
@@ -64,7 +65,7 @@ def bicycle(random: np.random.Generator) -> Mesh:
     return Mesh.joined(parts)
 
 
-def forklift(random: np.random.Generator) -> Mesh:
+def forklift(random: Random) -> Mesh:
     """Make a forklift with a mast, a cage, a driver's outline, and perhaps a load."""
     u = random.uniform
     parts = [
@@ -83,7 +84,7 @@ def forklift(random: np.random.Generator) -> Mesh:
     return Mesh.joined(parts)
 
 
-def robot(random: np.random.Generator) -> Mesh:
+def robot(random: Random) -> Mesh:
     """Make a low robot, a cart or a pallet jack."""
     u = random.uniform
     length, width = u(0.5, 1.4), u(0.45, 0.9)
@@ -95,7 +96,7 @@ def robot(random: np.random.Generator) -> Mesh:
     return boxes(rows)
 
 
-def dog(random: np.random.Generator) -> Mesh:
+def dog(random: Random) -> Mesh:
     """Make a dog."""
     size = random.uniform(0.6, 1.15)
     steps = [(x, y, x + random.uniform(-0.1, 0.1)) for x, y in corners(0.25, 0.08)]
@@ -107,14 +108,14 @@ def dog(random: np.random.Generator) -> Mesh:
     return Mesh(body.vertices * size, body.triangles)
 
 
-def chair(random: np.random.Generator) -> Mesh:
+def chair(random: Random) -> Mesh:
     """Make a chair that somebody pushes elsewhere."""
     legs = [[[x, y, 0], [x, y, 0.45]] for x, y in corners(0.2, 0.2)]
     seat = [[0, 0, 0.45, 0.44, 0.44, 0.05], [-0.21, 0, 0.72, 0.04, 0.42, random.uniform(0.3, 0.5)]]
     return Mesh.joined([boxes(seat), tubes(legs, 0.016, 4)])
 
 
-def crate(random: np.random.Generator) -> Mesh:
+def crate(random: Random) -> Mesh:
     """Make a crate, a bin or a carton that somebody carries elsewhere."""
     size = random.uniform(0.3, 0.9, 3)
     return boxes([0, 0, size[2] / 2, *size])
@@ -127,7 +128,7 @@ def _wheels(apart: float, width: float, radius: float) -> Mesh:
     return tubes(ends, radius * 0.95, 10)
 
 
-VEHICLES: dict[str, Callable[[np.random.Generator], Mesh]] = {
+VEHICLES: dict[str, Callable[[Random], Mesh]] = {
     make.__name__: make for make in (car, van, bus, bicycle, forklift, robot, dog, chair, crate)
 }
 """What makes each kind."""

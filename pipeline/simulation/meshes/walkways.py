@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.simulation.meshes.raycasting import Caster
 from pipeline.simulation.meshes.stage import Floor, Stage
+from pipeline.simulation.points import Floats, Random
 
 _HEIGHTS = (0.4, 0.95, 1.5)
 CLEARANCE = 0.34
@@ -20,21 +21,11 @@ _STEPS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 @dataclass(frozen=True, slots=True)
 class Walkways:
-    """Nodes that can be reached from each other.
+    """Nodes that can be reached from each other."""
 
-    Attributes
-    ----------
-    nodes : (n, 3) float64 array
-        On the ground.
-    room : (n,) float64 array
-        Distance to the nearest thing, in metres.
-    graph : (n, n) sparse array
-        Lengths between neighbours, longer where it is narrow.
-    """
-
-    nodes: NDArray[np.float64]
-    room: NDArray[np.float64]
-    graph: csr_matrix
+    nodes: Floats  # (n, 3), on the ground
+    room: Floats  # (n,), metres to the nearest thing
+    graph: csr_matrix  # lengths between neighbours, longer where it is narrow
 
     @classmethod
     def of(cls, stage: Stage, caster: Caster, spacing: float = 0.35) -> "Walkways":
@@ -64,11 +55,11 @@ class Walkways:
         kept = np.flatnonzero(part == np.bincount(part).argmax())
         return cls(places[kept], room[kept], graph[kept][:, kept].tocsr())
 
-    def nearest(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
+    def nearest(self, places: Floats) -> NDArray[np.int64]:
         """Return the node nearest to each place."""
         return np.atleast_1d(cKDTree(self.nodes).query(np.atleast_2d(places))[1]).astype(np.int64)
 
-    def draw(self, random: np.random.Generator, count: int, room: float = 0.0) -> NDArray[np.int64]:
+    def draw(self, random: Random, count: int, room: float = 0.0) -> NDArray[np.int64]:
         """Draw nodes, those with so much room if there are any."""
         wide = np.flatnonzero(self.room >= room)
         return random.choice(wide if len(wide) else len(self.nodes), count)
@@ -82,7 +73,7 @@ class Walkways:
 
 def _lattice(
     floor: Floor, caster: Caster, spacing: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Return free places of a floor, their room, and pairs of neighbours."""
     x0, y0, x1, y1 = floor.bounds
     shape = (max(2, int((x1 - x0) / spacing)), max(2, int((y1 - y0) / spacing)))
@@ -110,7 +101,7 @@ class Guide:
     walkways: Walkways
     before: dict[int, NDArray[np.int32]]
 
-    def way(self, start: int, goal: int, aside: float = 0.0) -> NDArray[np.float64]:
+    def way(self, start: int, goal: int, aside: float = 0.0) -> Floats:
         """Return a smooth way, kept aside of the shortest one as far as there is room: (m, 3)."""
         step, chain = int(start), [int(start)]
         row = self.before[int(goal)]

@@ -64,18 +64,13 @@ def _counters(stage: Stage, long: float) -> None:
             slots = np.arange(8)
             stage.queue = np.column_stack([np.full(8, x), 2.4 + 0.8 * slots, np.zeros(8)])
             if random.random() < 0.6:
-                _tapes(stage, x, 2.6)
-
-
-def _tapes(stage: Stage, x: float, y: float) -> None:
-    """Put posts with tape between them on both sides of a queue."""
-    lines, radii = [], []
-    posts = y + np.arange(4) * 1.6
-    for at in (x - 0.6, x + 0.6):
-        lines += [[[at, post, 0], [at, post, 0.95]] for post in posts]
-        lines += [[[at, posts[0], high], [at, posts[-1], high]] for high in (0.9, 0.86)]
-        radii += [0.03] * 4 + [0.015] * 2
-    stage.mesh(tubes(lines, np.array(radii)[:, None], 5))
+                posts, lines = 2.6 + np.arange(4) * 1.6, []
+                for tape in (x - 0.6, x + 0.6):
+                    lines += [[[tape, post, 0], [tape, post, 0.95]] for post in posts]
+                    ends = posts[[0, -1]]
+                    lines += [[[tape, y, high] for y in ends] for high in (0.9, 0.86)]
+                radii = np.tile([0.03] * 4 + [0.015] * 2, 2)
+                stage.mesh(tubes(lines, radii[:, None], 5))
 
 
 def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
@@ -101,7 +96,7 @@ def _islands(stage: Stage, told: MeshParameters, long: float, wide: float) -> No
 
 def stairs(stage: Stage, told: MeshParameters) -> None:
     """Build two storeys and stairs, whose well lies along x at y from `y0` to `y0 + broad`."""
-    u = stage.random.uniform
+    random, u = stage.random, stage.random.uniform
     long, wide, storey = u(13, 26), u(8, 16), u(2.9, 3.8)
     broad, run = u(1.5, 2.4), u(0.27, 0.32)
     steps = int(np.ceil(storey / 0.17))
@@ -119,9 +114,17 @@ def stairs(stage: Stage, told: MeshParameters) -> None:
         outer_wall(stage, here, there, 0.0, storey)
         outer_wall(stage, here, there, storey, storey)
     _flight(stage, (x0, y0, broad), steps, run, storey)
+    things: list[Thing] = [
+        lambda stage, at: f.table(stage, at, int(u(2, 7))),
+        *(f.plant, f.bench, f.sofa, f.shelf, f.sign),
+    ]
     for base in (0.0, storey):
         stage.floors.append(Floor(bounds, level(base)))
-        _things(stage, told, long, wide, base, (x0 - 1.5, y0 - 0.8, x1 + 1.5, y0 + broad + 0.8))
+        for _ in range(random.poisson(long * wide / 25 * told.clutter)):
+            x, y = u(0.8, long - 0.8), u(0.8, wide - 0.8)
+            if not (x0 - 1.5 < x < x1 + 1.5 and y0 - 0.8 < y < y0 + broad + 0.8):
+                at = (x, y, base, u(0, 2 * np.pi))
+                stage.pick(things)(stage, at)
     for x in (long * 0.3, long * 0.7):
         pillar(stage, x, u(0.5, 1.0), 2 * storey)
     share = np.linspace(0, 1, 12)[1:-1]
@@ -152,24 +155,6 @@ def _flight(
     f.railing(stage, [x0 - 0.05, y0, storey], [x0 - 0.05, y0 + broad, storey], 1.05)
 
 
-def _things(
-    stage: Stage, told: MeshParameters, long: float, wide: float, base: float,
-    kept_free: tuple[float, float, float, float],
-) -> None:  # fmt: skip
-    random, u = stage.random, stage.random.uniform
-    low_x, low_y, top_x, top_y = kept_free
-    things: list[Thing] = [
-        lambda stage, at: f.table(stage, at, int(u(2, 7))),
-        *(f.plant, f.bench, f.sofa, f.shelf, f.sign),
-    ]
-    for _ in range(random.poisson(long * wide / 25 * told.clutter)):
-        x, y = u(0.8, long - 0.8), u(0.8, wide - 0.8)
-        if low_x < x < top_x and low_y < y < top_y:
-            continue
-        at = (x, y, base, u(0, 2 * np.pi))
-        stage.pick(things)(stage, at)
-
-
 def garage(stage: Stage, told: MeshParameters) -> None:
     """Build a garage: aisles along x with bays on both sides of each."""
     random, u = stage.random, stage.random.uniform
@@ -184,12 +169,31 @@ def garage(stage: Stage, told: MeshParameters) -> None:
         gap = ((0.5, length - 1, 1.1, high - 0.3),) if random.random() < 0.3 else ()
         wall(stage, here, there, 0, high, gap, 0.3)
     full = u(0.15, 0.95)
+    xs = np.linspace(1.5, long - 1.5, 20)
     for number in range(aisles):
         low = number * pitch
         for y, yaw in ((low + _DEEP / 2, np.pi / 2), (low + pitch - _DEEP / 2, -np.pi / 2)):
             _bays(stage, bays, y, yaw, full)
-    _structure(stage, (long, wide, high), bays, aisles, pitch)
-    _car_lanes(stage, long, aisles, pitch)
+        round_trip = np.concatenate([xs, xs[::-1], xs[:1]])
+        aside = np.repeat([-1.2, 1.2, -1.2], [20, 20, 1])
+        line = np.column_stack([round_trip, low + _DEEP + _AISLE / 2 + aside, 0 * round_trip])
+        stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
+    deep = u(0.2, 0.45)  # of beams, between every third bay
+    for x in np.arange(_AISLE, _AISLE + bays * _BAY + 0.1, 3 * _BAY):
+        stage.block([x - 0.15, 0, high - deep], [x + 0.15, wide, high], Surface.CEILING)
+        for number in range(aisles):
+            for y in (number * pitch + _DEEP - 0.2, (number + 1) * pitch - _DEEP + 0.2):
+                stage.block([x - 0.2, y - 0.2, 0], [x + 0.2, y + 0.2, high], Surface.WALL)
+    top = high - 0.12
+    pipes = [[[1, y, top], [long - 1, y, top]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
+    stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
+    if random.random() < 0.6:  # a ramp at one end
+        y = (aisles - 1) * pitch + _DEEP
+        x = np.linspace(long - 5.9, long - 0.3, 12)
+        up = (x - x[0]) * 0.15
+        ramp = np.stack([np.column_stack([x, 0 * x + y + edge, up]) for edge in (1, 5)], axis=1)
+        stage.mesh(sheet(ramp), Surface.FLOOR)
+        stage.block([x[0], y + 5, 0], [x[-1], y + 5.15, 1.1], Surface.WALL)
     for _ in range(random.poisson(5 * told.clutter)):
         x, side = u(1, long - 1), random.random() < 0.5
         at = (x, 0.5 if side else wide - 0.5, 0.0, np.pi / 2 if side else -np.pi / 2)
@@ -206,42 +210,6 @@ def _bays(stage: Stage, bays: int, y: float, yaw: float, full: float) -> None:
             mesh = VEHICLES[kind](random)
             if mesh.vertices[:, 2].max() < 2.15:
                 stage.mesh(mesh, Surface.VEHICLE, (x, y + u(-0.2, 0.2), 0, turn), u(0.05, 0.7))
-
-
-def _structure(
-    stage: Stage, size: tuple[float, float, float], bays: int, aisles: int, pitch: float
-) -> None:
-    """Build pillars between every third bay, beams, pipes, lamps, and a ramp at one end."""
-    random, u = stage.random, stage.random.uniform
-    long, wide, high = size
-    deep = u(0.2, 0.45)
-    for x in np.arange(_AISLE, _AISLE + bays * _BAY + 0.1, 3 * _BAY):
-        stage.block([x - 0.15, 0, high - deep], [x + 0.15, wide, high], Surface.CEILING)
-        for number in range(aisles):
-            for y in (number * pitch + _DEEP - 0.2, (number + 1) * pitch - _DEEP + 0.2):
-                stage.block([x - 0.2, y - 0.2, 0], [x + 0.2, y + 0.2, high], Surface.WALL)
-    top = high - 0.12
-    pipes = [[[1, y, top], [long - 1, y, top]] for y in u(0.5, wide - 0.5, int(u(1, 7)))]
-    stage.mesh(tubes(pipes, u(0.03, 0.1), 7), Surface.CEILING)
-    if random.random() < 0.6:
-        y = (aisles - 1) * pitch + _DEEP
-        x = np.linspace(long - 5.9, long - 0.3, 12)
-        ramp = np.empty((12, 2, 3))
-        ramp[..., 0], ramp[..., 1] = x[:, None], [y + 1, y + 5]
-        ramp[..., 2] = ((x - x[0]) * 0.15)[:, None]
-        stage.mesh(sheet(ramp), Surface.FLOOR)
-        stage.block([x[0], y + 5, 0], [x[-1], y + 5.15, 1.1], Surface.WALL)
-
-
-def _car_lanes(stage: Stage, long: float, aisles: int, pitch: float) -> None:
-    """Let cars drive round through the aisles."""
-    for number in range(aisles):
-        y = number * pitch + _DEEP + _AISLE / 2
-        xs = np.linspace(1.5, long - 1.5, 20)
-        forth = np.column_stack([xs, np.full(20, y - 1.2), 0 * xs])
-        back = np.column_stack([xs[::-1], np.full(20, y + 1.2), 0 * xs])
-        line = np.concatenate([forth, back, forth[:1]])
-        stage.lanes.append(Lane(line, ("car", "car", "van"), (1.5, 5)))
 
 
 def warehouse(stage: Stage, told: MeshParameters) -> None:
@@ -269,18 +237,11 @@ def warehouse(stage: Stage, told: MeshParameters) -> None:
     for x in (0.5, wide - 0.5):
         for y in np.arange(3, long, 8):
             pillar(stage, x, y, high)
-    _pallets(stage, told, wide, long, apron)
-    _forklift_lanes(stage, aisles, long, apron)
-
-
-def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron: float) -> None:
-    """Put pallets, cartons and work places on the aprons, and people's desks at a wall."""
-    random, u = stage.random, stage.random.uniform
     for _ in range(random.poisson(0.35 * wide * told.clutter)):
         near = random.random() < 0.5
         y = u(0.8, apron - 1.6) if near else long - u(0.8, apron - 1.6)
         f.pallet(stage, (u(1, wide - 1), y, 0, random.choice([0, np.pi / 2]) + u(-0.1, 0.1)))
-    for _ in range(int(u(1, 4))):
+    for _ in range(int(u(1, 4))):  # work places at a wall
         at = (u(2, wide - 2), 0.8, 0.0, -np.pi / 2)
         f.desk(stage, at, told.clutter)
         f.office_chair(stage, (at[0], 1.5, 0.0, -np.pi / 2))
@@ -290,14 +251,8 @@ def _pallets(stage: Stage, told: MeshParameters, wide: float, long: float, apron
     if random.random() < 0.5:
         y = apron - 0.6
         f.railing(stage, [u(1, wide / 2), y, 0], [wide / 2 + 2, y, 0], 1.1)
-
-
-def _forklift_lanes(stage: Stage, aisles: list[float], long: float, apron: float) -> None:
-    """Let forklifts go up one aisle and down another."""
-    random = stage.random
     low, top = apron * 0.7, long - apron * 0.7
-    for _ in range(3):
-        first, second = random.choice(len(aisles), 2, replace=False)
-        x0, x1 = aisles[first], aisles[second]
+    for _ in range(3):  # forklifts go up one aisle and down another
+        x0, x1 = np.array(aisles)[random.choice(len(aisles), 2, replace=False)]
         line = np.array([[x0, low, 0], [x0, top, 0], [x1, top, 0], [x1, low, 0], [x0, low, 0]])
         stage.lanes.append(Lane(line, ("forklift", "forklift", "robot"), (0.8, 2.5), closed=True))

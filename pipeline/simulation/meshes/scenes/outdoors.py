@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulation.meshes import furniture as f
 from pipeline.simulation.meshes.building import wall
@@ -11,6 +10,7 @@ from pipeline.simulation.meshes.mesh import Mesh, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import At, Floor, Height, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
+from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
 
 _KERB = 0.12
@@ -25,7 +25,12 @@ def street(stage: Stage, told: MeshParameters) -> None:
     pavements = [u(2.0, 5.0), u(2.0, 5.0)]
     slope = u(-0.04, 0.04) if random.random() < 0.6 else 0.0
     green = u(0.3, 1.0) if random.random() < 0.5 else 0.2  # gardens instead of houses
-    _ground(stage, long, half, pavements, slope)
+    along = np.linspace(-60, long + 60, 60)
+    north, south = (half + wide + 25 for wide in pavements)
+    across = [-south, -half - 0.01, -half, half, half + 0.01, north]
+    rise = slope * along[:, None] + [_KERB, _KERB, 0, 0, _KERB, _KERB]
+    ground = np.stack([*np.broadcast_arrays(along[:, None], across, rise)], axis=-1)
+    stage.mesh(sheet(ground), Surface.FLOOR, albedo=u(0.1, 0.4))
     for side, wide in zip((1.0, -1.0), pavements, strict=True):
         inner, outer = half, half + wide
         _facades(stage, long, side, outer, slope, green)
@@ -45,17 +50,6 @@ def street(stage: Stage, told: MeshParameters) -> None:
         xs = np.linspace(2, long - 2, 40)
         stage.robot_lane = Lane(np.column_stack([xs, np.full(40, -lane), slope * xs]), (), (3, 9))
         stage.lanes = stage.lanes[:1]
-
-
-def _ground(stage: Stage, long: float, half: float, pavements: list[float], slope: float) -> None:
-    """Lay carriageway, kerbs and pavements."""
-    x = np.linspace(-60, long + 60, 60)
-    north, south = (half + wide + 25 for wide in pavements)
-    grid = np.empty((60, 6, 3))
-    grid[..., 0] = x[:, None]
-    grid[..., 1] = [-south, -half - 0.01, -half, half, half + 0.01, north]
-    grid[..., 2] = slope * x[:, None] + [_KERB, _KERB, 0, 0, _KERB, _KERB]
-    stage.mesh(sheet(grid), Surface.FLOOR, albedo=float(stage.random.uniform(0.1, 0.4)))
 
 
 def _facades(
@@ -94,19 +88,16 @@ def _house(stage: Stage, along: tuple[float, float], side: float, edge: float, b
             pane = [x0 + start + width / 2, side * (edge + 0.3), z + (low + top) / 2]
             stage.boxes([*pane, width, 0.02, top - low], Surface.WALL, matter=Matter.GLASS)
             if floor and u() < 0.06:
-                _balcony(stage, x0 + start - 0.4, x0 + start + width + 0.4, side, edge, z)
+                left, right, y = x0 + start - 0.4, x0 + start + width + 0.4, side * (edge - 1)
+                slab = [(left + right) / 2, side * (edge - 0.5), z, right - left, 1.0, 0.15]
+                stage.boxes(slab, Surface.WALL)
+                f.railing(stage, [left, y, z], [right, y, z])
     middle = (x0 + x1) / 2
     inner = [[middle, side * (edge + 4), base + high / 2, x1 - x0, 0.2, high]]
     inner += [[x, side * (edge + 2), base + high / 2, 0.2, 4, high] for x in (x0, x1)]
     ceilings = base + np.arange(1, floors + 1) * _STOREY
     inner += [[middle, side * (edge + 2), z, x1 - x0, 4, 0.2] for z in ceilings]
     stage.boxes(inner, Surface.WALL)
-
-
-def _balcony(stage: Stage, x0: float, x1: float, side: float, edge: float, z: float) -> None:
-    stage.boxes([(x0 + x1) / 2, side * (edge - 0.5), z, x1 - x0, 1.0, 0.15], Surface.WALL)
-    y = side * (edge - 1)
-    f.railing(stage, [x0, y, z], [x1, y, z])
 
 
 def _garden(stage: Stage, x0: float, x1: float, side: float, edge: float, base: float) -> None:
@@ -195,11 +186,9 @@ def park(stage: Stage, told: MeshParameters) -> None:
     random, u = stage.random, stage.random.uniform
     side = u(40, 100)
     height = _terrain(random, side)
-    x = np.linspace(-10, side + 10, 80)
-    grid = np.empty((80, 80, 3))
-    grid[..., 0], grid[..., 1] = x[:, None], x
-    grid[..., 2] = height(grid[..., 0], grid[..., 1])
-    stage.mesh(sheet(grid), Surface.FLOOR, albedo=u(0.2, 0.6))
+    line = np.linspace(-10, side + 10, 80)
+    x, y = np.meshgrid(line, line, indexing="ij")
+    stage.mesh(sheet(np.stack([x, y, height(x, y)], axis=-1)), Surface.FLOOR, albedo=u(0.2, 0.6))
     stage.floors.append(Floor((0.0, 0.0, side, side), height))
 
     def at(x: float, y: float) -> At:
@@ -210,29 +199,7 @@ def park(stage: Stage, told: MeshParameters) -> None:
     for _ in range(random.poisson(side / 4 * told.clutter)):
         thing = stage.pick([f.bush, f.bench, f.bin_, f.sign, f.bush, f.table])
         thing(stage, at(u(1, side - 1), u(1, side - 1)))
-    _grass(stage, height, side)
-    _edges(stage, height, side)
-    _path(stage, height, side)
-
-
-def _terrain(random: np.random.Generator, side: float) -> Height:
-    """Draw a sum of long waves, with slopes of a few per cent up to a fifth."""
-    waves = random.normal(size=(4, 2)) * 2 * np.pi / side
-    phases = random.uniform(0, 2 * np.pi, 4)
-    steep = random.uniform(0.01, 0.12) / np.linalg.norm(waves, axis=1)
-
-    def height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        angle = np.multiply.outer(x, waves[:, 0]) + np.multiply.outer(y, waves[:, 1]) + phases
-        rise: NDArray[np.float64] = np.sin(angle) @ steep * 0.5
-        return rise
-
-    return height
-
-
-def _grass(stage: Stage, height: Height, side: float) -> None:
-    """Let grass grow in patches."""
-    random, u = stage.random, stage.random.uniform
-    parts: list[Mesh] = []
+    parts: list[Mesh] = []  # grass in patches
     for _ in range(int(u(0, 40))):
         middle = u(0, side, 2)
         place = middle + random.normal(scale=u(0.5, 2.0), size=(150, 2))
@@ -242,6 +209,28 @@ def _grass(stage: Stage, height: Height, side: float) -> None:
         parts.append(Mesh(blades.vertices + shift, blades.triangles))
     if parts:
         stage.mesh(Mesh.joined(parts), Surface.VEGETATION)
+    _edges(stage, height, side)
+    x = np.linspace(0, side, 60)
+    y = side / 2 + u(0.05, 0.3) * side * np.sin(x * u(0.03, 0.12) + u(0, 6))  # a path
+    line = np.column_stack([x, y, height(x, y)])
+    stage.lanes.append(Lane(line, ("bicycle", "bicycle", "robot"), (3, 8)))
+    for number in range(4, 56, int(random.integers(6, 14))):  # lamps beside the path
+        foot = line[number] + [0, 2.2, 0]
+        stage.mesh(tubes([[foot, foot + [0, 0, u(3, 5)]]], 0.05, 6))
+
+
+def _terrain(random: Random, side: float) -> Height:
+    """Draw a sum of long waves, with slopes of a few per cent up to a fifth."""
+    waves = random.normal(size=(4, 2)) * 2 * np.pi / side
+    phases = random.uniform(0, 2 * np.pi, 4)
+    steep = random.uniform(0.01, 0.12) / np.linalg.norm(waves, axis=1)
+
+    def height(x: Floats, y: Floats) -> Floats:
+        angle = np.multiply.outer(x, waves[:, 0]) + np.multiply.outer(y, waves[:, 1]) + phases
+        rise: Floats = np.sin(angle) @ steep * 0.5
+        return rise
+
+    return height
 
 
 def _edges(stage: Stage, height: Height, side: float) -> None:
@@ -267,15 +256,3 @@ def _edges(stage: Stage, height: Height, side: float) -> None:
         x, y = u(10, side - 10, 2)
         z = float(height(np.array(x), np.array(y)))
         stage.boxes([0, 0, 2, u(5, 10), u(4, 8), 7], Surface.WALL, (x, y, z, u(0, 3)))
-
-
-def _path(stage: Stage, height: Height, side: float) -> None:
-    """Let cyclists cross, and put lamps beside their way."""
-    random, u = stage.random, stage.random.uniform
-    x = np.linspace(0, side, 60)
-    y = side / 2 + u(0.05, 0.3) * side * np.sin(x * u(0.03, 0.12) + u(0, 6))
-    line = np.column_stack([x, y, height(x, y)])
-    stage.lanes.append(Lane(line, ("bicycle", "bicycle", "robot"), (3, 8)))
-    for number in range(4, 56, int(random.integers(6, 14))):
-        foot = line[number] + [0, 2.2, 0]
-        stage.mesh(tubes([[foot, foot + [0, 0, u(3, 5)]]], 0.05, 6), Surface.FURNITURE)

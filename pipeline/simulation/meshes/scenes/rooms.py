@@ -16,7 +16,7 @@ _Row = tuple[float, float, float]  # y0, y1, and where the corridor is: 1 above,
 
 def office(stage: Stage, told: MeshParameters) -> None:
     """Build an office floor: corridors, rooms with desks, meeting rooms behind glass, a kitchen."""
-    u = stage.random.uniform
+    random, u = stage.random, stage.random.uniform
     long, pairs = u(16, 38), int(u(1, 3))
     high, corridor = u(2.4, 3.4), u(1.6, 2.8)
     rows: list[_Row] = []
@@ -32,7 +32,12 @@ def office(stage: Stage, told: MeshParameters) -> None:
         outer_wall(stage, here, there, 0.0, high)
     for row in rows:
         _rooms(stage, told, long, row, high)
-    _corridors(stage, told, long, rows)
+    for first, second in zip(rows[::2], rows[1::2], strict=True):
+        for _ in range(random.poisson(0.15 * long * told.clutter)):
+            low = random.random() < 0.5
+            y = first[1] + 0.3 if low else second[0] - 0.3
+            at = (u(1, long - 1), y, 0.0, np.pi / 2 if low else -np.pi / 2)
+            stage.pick([f.plant, f.bin_, f.cabinet, f.bench, f.sign])(stage, at)
 
 
 def _rooms(stage: Stage, told: MeshParameters, long: float, row: _Row, high: float) -> None:
@@ -99,29 +104,13 @@ def _furnish(stage: Stage, told: MeshParameters, room: _Room, kind: str) -> None
         f.sofa(stage, (x0 + 0.6, middle[1], 0, 0))
         f.table(stage, (*middle, 0, u(0, np.pi)), int(u(0, 3)))
     for _ in range(random.poisson(2.0 * told.clutter)):
-        _against_a_wall(stage, room)
-
-
-def _against_a_wall(stage: Stage, room: _Room) -> None:
-    random, u = stage.random, stage.random.uniform
-    x0, y0, x1, y1 = room
-    side = int(random.integers(4))
-    x = (u(x0, x1), x1 - 0.3, u(x0, x1), x0 + 0.3)[side]
-    y = (y0 + 0.3, u(y0, y1), y1 - 0.3, u(y0, y1))[side]
-    at = (x, y, 0.0, (np.pi / 2, np.pi, -np.pi / 2, 0.0)[side])
-    thing = stage.pick([f.plant, f.cabinet, f.shelf, f.bin_, f.sign, f.coat_rack, f.chair, f.plant])
-    thing(stage, at)
-
-
-def _corridors(stage: Stage, told: MeshParameters, long: float, rows: list[_Row]) -> None:
-    """Put plants, cabinets and bins along the corridors, close to their walls."""
-    random, u = stage.random, stage.random.uniform
-    for first, second in zip(rows[::2], rows[1::2], strict=True):
-        for _ in range(random.poisson(0.15 * long * told.clutter)):
-            low = random.random() < 0.5
-            y = first[1] + 0.3 if low else second[0] - 0.3
-            at = (u(1, long - 1), y, 0.0, np.pi / 2 if low else -np.pi / 2)
-            stage.pick([f.plant, f.bin_, f.cabinet, f.bench, f.sign])(stage, at)
+        side = int(random.integers(4))
+        x = (u(x0, x1), x1 - 0.3, u(x0, x1), x0 + 0.3)[side]
+        y = (y0 + 0.3, u(y0, y1), y1 - 0.3, u(y0, y1))[side]
+        at = (x, y, 0.0, (np.pi / 2, np.pi, -np.pi / 2, 0.0)[side])
+        stage.pick([f.plant, f.cabinet, f.shelf, f.bin_, f.sign, f.coat_rack, f.chair, f.plant])(
+            stage, at
+        )
 
 
 def corridor(stage: Stage, told: MeshParameters) -> None:
@@ -238,18 +227,7 @@ def room(stage: Stage, told: MeshParameters) -> None:
     matter = Matter.GLASS if random.random() < 0.4 * told.glass else Matter.SOLID
     wall(stage, (0, wide), (long, wide), 0, high, ((begin, width, 0, _DOOR),), 0.12, matter)
     stage.doors.append(Door(begin, wide, 0, 0, width, 2.06))
-    _middle(stage, told, long, wide)
-    _edges(stage, told, long, wide)
-    if random.random() < told.mirrors:
-        low = u(0.5, wide - 2)
-        stage.block([0.07, low, u(0.1, 0.6)], [0.08, low + u(0.6, 1.5), 1.9], Surface.WALL,
-                    matter=Matter.MIRROR)  # fmt: skip
-
-
-def _middle(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
-    """Leave the middle free, or put rows of desks, one table, or scattered chairs there."""
-    random, u = stage.random, stage.random.uniform
-    kind = int(random.integers(4))
+    kind = int(random.integers(4))  # of the middle: free, rows of desks, one table, chairs
     if kind == 1:
         for x in np.arange(1.6, long - 1.2, u(1.6, 2.4)):
             for y in np.arange(1.3, wide - 1.5, u(1.5, 2.2)):
@@ -262,15 +240,14 @@ def _middle(stage: Stage, told: MeshParameters, long: float, wide: float) -> Non
         for _ in range(random.poisson(6 * told.clutter)):
             at = (u(1, long - 1), u(1, wide - 1), 0.0, u(0, 2 * np.pi))
             stage.pick([f.chair, f.office_chair, f.bin_, f.sign])(stage, at)
-
-
-def _edges(stage: Stage, told: MeshParameters, long: float, wide: float) -> None:
-    """Put shelves, desks and cabinets along the walls."""
-    random, u = stage.random, stage.random.uniform
-    for _ in range(random.poisson(7 * told.clutter)):
+    for _ in range(random.poisson(7 * told.clutter)):  # along the walls
         side = int(random.integers(3))
         west, south, east = u(0.5, wide - 0.5), u(0.5, long - 0.5), u(0.5, wide - 0.5)
         x, y = ((0.35, west), (south, 0.35), (long - 0.35, east))[side]
         at = (x, y, 0.0, side * np.pi / 2)
         things = [f.shelf, f.cabinet, f.plant, f.coat_rack, f.sofa, f.bin_, f.chair, f.desk]
         stage.pick(things)(stage, at)
+    if random.random() < told.mirrors:
+        low = u(0.5, wide - 2)
+        stage.block([0.07, low, u(0.1, 0.6)], [0.08, low + u(0.6, 1.5), 1.9], Surface.WALL,
+                    matter=Matter.MIRROR)  # fmt: skip

@@ -1,18 +1,23 @@
-"""The simulation of one block of scene: scans taken along a drive through it."""
+"""Scans taken along drives through one block of scene, or as many as the wanted points need.
+
+A block has a seed of its own, and so its own plan, people, noise and drift; the robot drives
+through one after the other. Blocks do not see each other: a ray that leaves one meets nothing.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from itertools import count
+from itertools import count, islice
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import ConfigurationError
 from pipeline.simulation.indoor import indoor_scene
 from pipeline.simulation.motion import drift, drive, pose_matrix, rotations, to_map, to_sensor
 from pipeline.simulation.movers import populate
-from pipeline.simulation.parameters import RINGS, SimulationParameters
-from pipeline.simulation.points import Points
+from pipeline.simulation.parameters import POINTS_OF_A_BLOCK, RINGS, SimulationParameters
+from pipeline.simulation.points import Floats, Points, Random
 from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
 from pipeline.simulation.scene import Scene, SceneKind
 from pipeline.simulation.street import street_scene
@@ -26,46 +31,34 @@ RING_ELEVATIONS = np.radians(np.linspace(-15.0, 15.0, RINGS))
 _REFLECTIVITY = np.array([25.0, 60.0, 75.0, 40.0, 30.0, 50.0, 55.0, 45.0])
 _REFLECTIVITY_SPREAD = 8.0
 
-
-@dataclass(frozen=True, slots=True)
-class Rotation:
-    """One turn of the sensor: c firings of all rings, n = 16 c rays in the order of firing.
-
-    Attributes
-    ----------
-    delay : (c,) float64 array
-        Time of each firing since the turn began, in seconds.
-    firings : (n,) int64 array
-        The firing each ray belongs to.
-    directions : (n, 3) float64 array
-        Unit vectors in the sensor's frame: x forward, y left, z up.
-    """
-
-    delay: NDArray[np.float64]
-    firings: NDArray[np.int64]
-    directions: NDArray[np.float64]
+_TRIAL_SCANS, _TRIAL_COLUMNS = 24, 24
+_MOST_COLUMNS = 3600
+_SPARE = 1.02  # more rays than needed, so that the points are reached before the drive ends
+_LONGEST = 10.0  # times the planned drive, after which a sensor that sees nothing is given up
 
 
-def rotation(
-    parameters: SimulationParameters, columns: int, random: np.random.Generator
-) -> Rotation:
-    """Turn the sensor once; the azimuth of the first firing is random, as its motor is free."""
-    share = (np.arange(columns) + random.random()) / columns
-    azimuth = np.repeat(2 * np.pi * share, len(RING_ELEVATIONS))
-    elevation = np.tile(RING_ELEVATIONS, columns)
+def ray_directions(azimuth: Floats, elevation: Floats) -> Floats:
+    """Return unit vectors, (n, 3): x forward, y left, z up. Angles are in radians."""
     level = np.cos(elevation)
-    return Rotation(
-        delay=share / parameters.rotation_rate,
-        firings=np.repeat(np.arange(columns), len(RING_ELEVATIONS)),
-        directions=np.stack(
-            [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
-        ),
-    )
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
-def measured_ranges(
-    distance: NDArray[np.float64], noise: NDArray[np.float64], parameters: SimulationParameters
-) -> NDArray[np.float64]:
+def rotation(columns: int, random: Random) -> tuple[Floats, Floats]:
+    """Turn the sensor once; the azimuth of the first firing is random, as its motor is free.
+
+    Returns
+    -------
+    share : (c,) float64 array
+        When each firing of all rings is, as a share of the turn.
+    directions : (16 c, 3) float64 array
+        Unit vectors in the sensor's frame, in the order of firing.
+    """
+    share = (np.arange(columns) + random.random()) / columns
+    azimuth = np.repeat(2 * np.pi * share, RINGS)
+    return share, ray_directions(azimuth, np.tile(RING_ELEVATIONS, columns))
+
+
+def measured_ranges(distance: Floats, noise: Floats, parameters: SimulationParameters) -> Floats:
     """Return true distances as the sensor reports them, NaN where it reports none; in metres.
 
     The noise is standard normal; what a ray never meets is infinitely far.
@@ -77,7 +70,7 @@ def measured_ranges(
     return np.where(within, ranges, np.nan)
 
 
-def intensities(surface: NDArray[np.uint8], noise: NDArray[np.float64]) -> NDArray[np.float32]:
+def intensities(surface: NDArray[np.uint8], noise: Floats) -> NDArray[np.float32]:
     """Return the calibrated reflectivity of each return, a whole number from 0 to 255."""
     spread = noise * _REFLECTIVITY_SPREAD
     return np.clip(np.round(_REFLECTIVITY[surface] + spread), 0, 255).astype(np.float32)
@@ -97,29 +90,17 @@ class Stream(IntEnum):
 class SimulatedScan:
     """One scan, free of motion distortion, as after perfect deskewing.
 
-    Attributes
-    ----------
-    number : int
-        In the order of the map, from 0.
-    start : float
-        When the rotation began, in seconds.
-    returns : Points
-        What the sensor saw.
-    static_returns : Points
-        What it would have seen at the same time, with the same noise and drift, had nothing moved
-        been there.
-    true_pose, estimated_pose : (3, 4) float64 array
-        From the sensor's frame to the map's, at the beginning of the scan.
+    Without what moves, the same noise and drift would have given `static_returns` at the same time.
     """
 
-    number: int
-    start: float
+    number: int  # in the order of the map, from 0
+    start: float  # when the rotation began, in seconds
     returns: Points
     static_returns: Points
-    true_pose: NDArray[np.float64]
-    estimated_pose: NDArray[np.float64]
+    true_pose: Floats  # (3, 4), from the sensor's frame to the map's, at the beginning of the scan
+    estimated_pose: Floats
 
-    def in_sensor_frame(self) -> NDArray[np.float64]:
+    def in_sensor_frame(self) -> Floats:
         """Return the points as the sensor saw them, (n, 3)."""
         return to_sensor(self.estimated_pose, self.returns.xyz)
 
@@ -130,7 +111,7 @@ class SimulatedScan:
         static_returns = self.static_returns.take(slice(int(seen)))
         return replace(self, returns=returns, static_returns=static_returns)
 
-    def moved(self, number: int, seconds: float, metres: NDArray[np.float64]) -> "SimulatedScan":
+    def moved(self, number: int, seconds: float, metres: Floats) -> "SimulatedScan":
         """Return the scan as one of a later number, later by `seconds`, elsewhere by `metres`."""
 
         def shifted(points: Points) -> Points:
@@ -164,9 +145,7 @@ def build_scene(parameters: SimulationParameters, block: int = 0) -> Scene:
     return build(random_stream(parameters, block, Stream.SCENE), parameters.glass)
 
 
-def random_stream(
-    parameters: SimulationParameters, block: int, stream: Stream
-) -> np.random.Generator:
+def random_stream(parameters: SimulationParameters, block: int, stream: Stream) -> Random:
     """Return the random numbers of one purpose, in one block, for one drive."""
     drive_number = 0 if stream is Stream.SCENE else parameters.drive
     key = (block, drive_number, int(stream))
@@ -176,12 +155,7 @@ def random_stream(
 class Drive:
     """A drive through one block of the scene: whoever is there, and the robot's way.
 
-    Parameters
-    ----------
-    block : int, optional
-        Number of the block.
-    duration : float
-        How long all keep moving, in seconds; what comes after finds everybody standing.
+    All keep moving for `duration` seconds; what comes after finds everybody standing.
     """
 
     def __init__(
@@ -219,26 +193,24 @@ class Drive:
         for number, error in zip(count(step=every), errors, strict=False):
             yield self._scan(number, columns, error, random)
 
-    def _scan(
-        self, number: int, columns: int, error: NDArray[np.float64], random: np.random.Generator
-    ) -> SimulatedScan:
+    def _scan(self, number: int, columns: int, error: Floats, random: Random) -> SimulatedScan:
         """Turn the sensor once."""
         parameters = self.parameters
-        turn = rotation(parameters, columns, random)
-        range_noise = random.standard_normal(len(turn.firings))
-        intensity_noise = random.standard_normal(len(turn.firings))
+        share, directions = rotation(columns, random)
+        firings = np.repeat(np.arange(columns), RINGS)
+        range_noise, intensity_noise = random.standard_normal((2, len(firings)))
         start = number * parameters.scan_interval
-        times = start + turn.delay
+        times = start + share / parameters.rotation_rate
         robot = self.robot.at(np.append(times, start))
         up = np.array([0.0, 0.0, parameters.sensor_height])
         robot_turns = rotations(robot[:, 3], robot[:, 4])
         eyes = robot[:, :3] + robot_turns @ up
-        origins = eyes[turn.firings]
-        directions = np.einsum("nij,nj->ni", robot_turns[turn.firings], turn.directions)
+        origins = eyes[firings]
+        directions = np.einsum("nij,nj->ni", robot_turns[firings], directions)
         still = first_hits(self.scene.shapes, origins, directions)
         movers, frames = self.movers, self.movers.at(times, robot[:-1])
         moving = first_moving_hits(
-            movers.shapes, movers.starts, movers.reach, frames, turn.firings, origins, directions
+            movers.shapes, movers.starts, movers.reach, frames, firings, origins, directions
         )
         true_pose = pose_matrix(eyes[-1], robot[-1, 3], robot[-1, 4])
         estimated_pose = pose_matrix(eyes[-1] + error[:3], robot[-1, 3] + error[3], robot[-1, 4])
@@ -250,7 +222,7 @@ class Drive:
             return Points(
                 xyz=to_map(estimated_pose, to_sensor(true_pose, seen)),
                 intensity=intensities(hits.surface[returned], intensity_noise[returned]),
-                time=times[turn.firings[returned]],
+                time=times[firings[returned]],
                 surface=hits.surface[returned],
                 moving=ghost[returned],
                 known=np.ones(len(seen), np.bool_),
@@ -258,15 +230,116 @@ class Drive:
             )
 
         ghosts = moving.distance < still.distance
-        seen = Hits(
-            np.where(ghosts, moving.distance, still.distance),
-            np.where(ghosts, moving.surface, still.surface),
-        )
         return SimulatedScan(
             number=number,
             start=start,
-            returns=returns(seen, ghosts),
+            returns=returns(still.replaced(moving, ghosts), ghosts),
             static_returns=returns(still, np.zeros_like(ghosts)),
             true_pose=true_pose,
             estimated_pose=estimated_pose,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedMap:
+    """A map of n points from s scans, and the truth about it."""
+
+    parameters: SimulationParameters  # what made it
+    xyz: NDArray[np.float32]  # (n, 3), in metres; the floor of the lowest storey is at z = 0
+    intensity: NDArray[np.float32]  # (n,) like all that follow, as in `Points`
+    time: Floats  # in seconds since the drive began
+    scan: NDArray[np.uint32]
+    moving: NDArray[np.uint8]
+    surface: NDArray[np.uint8]
+    true_poses: Floats  # (s, 3, 4), from the sensor's frame to the map's, when each scan begins
+    estimated_poses: Floats
+
+
+def simulate(parameters: SimulationParameters) -> SimulatedMap:
+    """Drive through the scene and gather every scan into one map, in memory.
+
+    The same parameters give the same map, bit for bit.
+    """
+    scans = list(simulate_scans(parameters))
+    points = Points.joined([scan.returns for scan in scans])
+    return SimulatedMap(
+        parameters=parameters,
+        xyz=points.xyz.astype(np.float32),
+        intensity=points.intensity,
+        time=points.time,
+        scan=points.scan.astype(np.uint32),
+        moving=points.moving.astype(np.uint8),
+        surface=points.surface,
+        true_poses=np.stack([scan.true_pose for scan in scans]),
+        estimated_poses=np.stack([scan.estimated_pose for scan in scans]),
+    )
+
+
+def simulate_scans(parameters: SimulationParameters) -> Iterator[SimulatedScan]:
+    """Yield the scans of the map one by one, each as it enters the map.
+
+    Blocks give nearly the same number of points, a million at most. What is held in memory is one
+    scan and one block of scene, whatever that number.
+
+    Raises
+    ------
+    ConfigurationError
+        When `points` are wanted and the sensor sees nothing.
+    """
+    if parameters.points is None:
+        yield from islice(Drive(parameters).scans(parameters.columns), parameters.scans)
+        return
+    number, seconds = 0, 0.0
+    blocks = -(-parameters.points // POINTS_OF_A_BLOCK)
+    for block in range(blocks):
+        points = parameters.points // blocks + (block < parameters.points % blocks)
+        drive = Drive(parameters, block, 2 * parameters.scans * parameters.scan_interval)
+        place = block_place(block, blocks, drive.scene)
+        done = 0
+        for scan in _scans_of_block(drive, points):
+            done = scan.number + 1
+            yield scan.moved(number, seconds, place)
+        number += done
+        seconds += done * parameters.scan_interval
+
+
+def block_place(block: int, blocks: int, scene: Scene) -> Floats:
+    """Return where a block lies: in rows that go back and forth, in a square about as a whole."""
+    length, width = (side + scene.gap for side in scene.size)
+    in_a_row = max(1, round(np.sqrt(blocks * width / length)))
+    row, column = divmod(block, in_a_row)
+    column = in_a_row - 1 - column if row % 2 else column
+    return np.array([column * length, row * width, 0.0])
+
+
+def _scans_of_block(drive: Drive, points: int) -> Iterator[SimulatedScan]:
+    """Yield scans of one block until they have so many points, the last one cut short."""
+    columns = _columns(drive, points)
+    scans_needed = -(-points // (columns * RINGS))
+    most_scans = int(_LONGEST * max(drive.parameters.scans, scans_needed))
+    missing = points
+    for scan in islice(drive.scans(columns), most_scans):
+        if len(scan.returns) >= missing:
+            yield scan.first(missing)
+            return
+        missing -= len(scan.returns)
+        yield scan
+    raise _too_few(points, points - missing, most_scans)
+
+
+def _columns(drive: Drive, points: int) -> int:
+    """Return the firings in a rotation that give so many points in about the planned scans."""
+    scans = drive.parameters.scans
+    trial = drive.scans(_TRIAL_COLUMNS, every=max(1, scans // _TRIAL_SCANS), stream=Stream.TRIAL)
+    seen = sum(len(scan.returns) for scan in islice(trial, _TRIAL_SCANS))
+    if not seen:
+        raise _too_few(points, 0, _TRIAL_SCANS)
+    of_a_column = seen / (_TRIAL_SCANS * _TRIAL_COLUMNS)
+    return int(min(np.ceil(_SPARE * points / (scans * of_a_column)), _MOST_COLUMNS))
+
+
+def _too_few(wanted: int, found: int, scans: int) -> ConfigurationError:
+    return ConfigurationError(
+        f"points: expected {wanted} from a block, found {found} in {scans} scans: the limits of "
+        "the range leave too few"
+    )
