@@ -8,6 +8,7 @@ output bit for bit.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -201,11 +202,18 @@ class MapReader(ABC):
         moved: NDArray[Any] = self.with_values(records, dict(zip(names, xyz.T, strict=True)))
         return moved
 
-    @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map of `point_count` points in this map's format, header and all."""
+        if self.writes_parts:
+            return SinglePartWriter(self._part_writer(path, point_count))
+        return self._stream_writer(path, point_count)
 
-    @abstractmethod
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        raise NotImplementedError
+
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
+        raise NotImplementedError
+
     def extended(self, fields: Sequence[Field]) -> "MapReader":
         """Return what makes and writes points like this map's that have further fields.
 
@@ -222,6 +230,14 @@ class MapReader(ABC):
         MapFormatError
             When the map has no place for them.
         """
+        model = copy(self)
+        model.further = tuple(fields)
+        model._take_further()
+        return model
+
+    @abstractmethod
+    def _take_further(self) -> None:
+        """Make the header, or the schema, that of points which have the `further` fields too."""
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
         """Return the records of a batch of the map that was extended, with further values.
@@ -243,7 +259,9 @@ class MapReader(ABC):
         PartsError
             When the format has no place for a point before those before it are written.
         """
-        raise PartsError(self.description.path, self.description.format)
+        if not self.writes_parts:
+            raise PartsError(self.description.path, self.description.format)
+        return self._part_writer(path, point_count)
 
 
 class TextWriter(MapWriter):

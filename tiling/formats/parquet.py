@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -172,21 +171,16 @@ class ParquetReader(MapReader):
             records = records.set_column(at, records.schema.field(at), array)
         return records
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a table like this one; see `MapReader.writer`."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
         return _ParquetWriter(path, point_count, self._schema, self._layout)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further columns; see `MapReader.extended`."""
-        model = copy(self)
-        model.further = tuple(fields)
-        for field in fields:
+    def _take_further(self) -> None:
+        for field in self.further:
             kind = pa.from_numpy_dtype(np.dtype(field.dtype))
-            model._schema = model._schema.append(pa.field(field.name, kind))
+            self._schema = self._schema.append(pa.field(field.name, kind))
         codec = next(iter(self._layout.codecs.values()), "SNAPPY")
-        codecs = {**self._layout.codecs, **{field.name: codec for field in fields}}
-        model._layout = replace(self._layout, codecs=codecs)
-        return model
+        further = dict.fromkeys((field.name for field in self.further), codec)
+        self._layout = replace(self._layout, codecs=self._layout.codecs | further)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> pa.Table:
         """Return the rows with further columns; see `MapReader.extend`."""

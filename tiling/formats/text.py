@@ -7,7 +7,6 @@ taken apart: those that stay are written back byte for byte, and only x, y and z
 
 import re
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -137,16 +136,11 @@ class TextReader(MapReader):
         except ValueError as error:
             raise MapFormatError(self._path, f"numbers in the field {name}", str(error)) from None
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of rows below the same head; see `MapReader.writer`."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
         return TextWriter(path, point_count, self._head.for_points(point_count))
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further values behind the others; see `MapReader.extended`."""
-        model = copy(self)
-        model.further = tuple(fields)
-        model._head = self._head.extended([field.name for field in fields])
-        return model
+    def _take_further(self) -> None:
+        self._head = self._head.extended([field.name for field in self.further])
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> TextRows:
         """Return the rows with further values; see `MapReader.extend`."""

@@ -112,12 +112,11 @@ class E57Reader(MapReader):
         column: NDArray[Any] = records.rows[name]
         return column if field.scale == 1 and not field.offset else field.scaled(column)
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a file with this one's scans; see `MapReader.writer`."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
         return _E57Writer(path, point_count, self._path, self._scans)
 
-    def extended(self, fields: Sequence[Field]) -> NoReturn:
-        """Refuse: E57 has no fields of these names that others would read."""
+    def _take_further(self) -> NoReturn:
+        # E57 has no fields of these names that others would read.
         expected = "a format that takes further fields; --labels writes them beside the map"
         raise MapFormatError(self._path, expected, self.description.format)
 

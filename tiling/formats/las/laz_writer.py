@@ -47,7 +47,7 @@ class LazWriter(MapWriter):
         vlr = lazrs.LazVlr(compression.data if data is None else data)
         self._file: BinaryIO = create_file(path)
         try:
-            self._surroundings.write_header(self._file)
+            self._surroundings.write_before(self._file)
             self._points = _chunks(self._file, vlr, point_count, threads)
         except BaseException:
             self._file.close()
@@ -68,9 +68,9 @@ class LazWriter(MapWriter):
             except lazrs.LazrsError as error:
                 raise OSError(f"{self.path}: {error}") from error
             points_end = self._file.seek(0, io.SEEK_END)
-            self._surroundings.write_after_points(self._file)
+            self._surroundings.write_after(self._file)
             self._file.seek(0)
-            self._file.write(self._surroundings.completed_header(points_end, self._summary))
+            self._file.write(self._surroundings.completed(points_end, self._summary))
 
 
 def _followed_compression(header: LasHeader, compression: Compression) -> bytes | None:

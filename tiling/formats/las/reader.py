@@ -8,7 +8,6 @@ laspy names them, and coordinates are computed as laspy computes them.
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.checks import check_leftover
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.fields import (
@@ -40,7 +39,7 @@ from tiling.formats.las.laz_header import Compression, read_compression
 from tiling.formats.las.laz_writer import LazWriter
 from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch, bytes_of, packed
+from tiling.formats.points import MapDescription, PointBatch, bytes_of, packed
 from tiling.grid import Grid, integers_in_records
 
 
@@ -117,27 +116,18 @@ class LasReader(MapReader):
             raise MapFormatError(self._header.path, expected, f"{found.size} bytes")
         return found
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a map with this one's header, VLRs and EVLRs."""
-        if self._compression is None:
-            return SinglePartWriter(self.part_writer(path, point_count))
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        assert self._compression is not None  # else it is written in parts
         threads = usable_threads(self.threads)
         return LazWriter(path, point_count, self._header, self._compression, threads)
 
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer in parts of an uncompressed file; see `MapReader.part_writer`."""
-        if self._compression is not None:
-            return super().part_writer(path, point_count)
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
         return LasPartWriter(path, point_count, self._header)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further extra bytes; see `MapReader.extended`."""
-        model = copy(self)
-        model.further = tuple(fields)
-        model._header = extended_header(self._header, fields)
-        if model._header.compressed:
-            model._compression = read_compression(model._header)
-        return model
+    def _take_further(self) -> None:
+        self._header = extended_header(self._header, self.further)
+        if self._header.compressed:
+            self._compression = read_compression(self._header)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
         """Return the records with further values; see `MapReader.extend`."""

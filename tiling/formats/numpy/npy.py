@@ -4,7 +4,6 @@ Organised ones, (H, W, 3 or more) or (H, W), are read row by row.
 """
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.base import MapReader
 from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
@@ -22,7 +21,7 @@ from tiling.formats.numpy.arrays import (
     put_rows,
     read_array_header,
 )
-from tiling.formats.parts import PartWriter
+from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, longer_records
 
 
@@ -94,23 +93,15 @@ class NpyReader(MapReader):
         """Return what writes several such arrays into one; see `MapReader.merged`."""
         return self if self._header.has_float_coordinates else super().merged()
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of an array like this one; see `MapReader.writer`."""
-        return SinglePartWriter(self.part_writer(path, point_count))
-
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further fields or columns; see `MapReader.extended`."""
-        model = copy(self)
-        header = self._header.extended(fields)
+    def _take_further(self) -> None:
+        header = self._header.extended(self.further)
         if header is None:
             expected = "fields with names, or columns of floating point numbers, to add others to"
             raise MapFormatError(self._path, expected, str(self._header), at="the header")
-        model._header = header
+        self._header = header
         if not header.dtype.names:
             # A column has the type of the others.
-            fields = [replace(field, dtype=header.dtype.name) for field in fields]
-        model.further = tuple(fields)
-        return model
+            self.further = tuple(replace(each, dtype=header.dtype.name) for each in self.further)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """Return the rows with further values; see `MapReader.extend`."""
@@ -119,8 +110,7 @@ class NpyReader(MapReader):
             batch.records, self.further, values, "<" if dtype.names else dtype.str[0]
         )
 
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer in parts; see `MapReader.part_writer`."""
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
         return _NpyParts(path, point_count, self._header)
 
 
@@ -128,15 +118,13 @@ class _NpyParts(PartWriter):
     """Writes each row, or each element of it in Fortran order, to its place."""
 
     def __init__(self, path: Path, point_count: int, header: ArrayHeader) -> None:
-        super().__init__(path, point_count)
+        super().__init__(
+            path, point_count, Surroundings(header.encode(point_count)), header.row_bytes
+        )
         self._header = header
 
     def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
         put_rows(file, self._header, self.point_count, first, records)
-
-    def _write_surroundings(self, file: BinaryIO) -> None:
-        start = file.write(self._header.encode(self.point_count))
-        file.truncate(start + self.point_count * self._header.row_bytes)
 
 
 def array_fields(header: ArrayHeader) -> tuple[Field, ...]:
@@ -191,7 +179,7 @@ class RawReader(NpyReader):
             notes=() if size else ("The file has no points.",),
         )
 
-    def extended(self, fields: Sequence[Field]) -> NoReturn:
-        """Refuse: without a header nobody would find further fields."""
+    def _take_further(self) -> NoReturn:
+        # Without a header nobody would find further fields.
         expected = "a format with names for further fields; --labels writes them beside the map"
         raise MapFormatError(self._path, expected, self.description.format)

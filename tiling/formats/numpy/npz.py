@@ -5,7 +5,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -138,16 +137,13 @@ class NpzReader(MapReader):
                 return np.asarray(columns[:, names.index(name)])
         return super().values(records, name)
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of an archive like this one; see `MapReader.writer`."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
         return _NpzWriter(path, point_count, self._path, self._members)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further arrays; see `MapReader.extended`."""
+    def _take_further(self) -> None:
         taken = {member.name for member in self._members}
-        members = list(self._members)
         first = self._members[0].info
-        for field in fields:
+        for field in self.further:
             if field.name in taken:
                 expected = f"no array {field.name!r}, which is to be added"
                 raise MapFormatError(self._path, expected, "one")
@@ -155,11 +151,7 @@ class NpzReader(MapReader):
             info.compress_type = first.compress_type
             dtype = np.dtype(field.dtype).newbyteorder("<")
             header = ArrayHeader(dtype, False, (0,))
-            members.append(_Member(info, field.name, header, is_per_point=True))
-        model = copy(self)
-        model._members = tuple(members)
-        model.further = tuple(fields)
-        return model
+            self._members += (_Member(info, field.name, header, is_per_point=True),)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """Return the rows with those of further arrays; see `MapReader.extend`."""

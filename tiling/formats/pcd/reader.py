@@ -23,13 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, SinglePartWriter, TextWriter
+from tiling.formats.base import MapReader, MapWriter, TextWriter
 from tiling.formats.checks import check_leftover
-from tiling.formats.parts import PartWriter, put_records
+from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
-from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
+from tiling.formats.pcd.header import PcdField, read_header
 from tiling.formats.points import (
-    Field,
     MapDescription,
     PointBatch,
     longer_records,
@@ -88,29 +87,27 @@ class PcdReader(MapReader):
             return self._binary_batches(max_points, rows)
         return self._compressed_batches(max_points, rows)
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        head = self._header.for_points(point_count)
         if self._header.encoding == "ascii":
-            return TextWriter(path, point_count, self._header.for_points(point_count))
-        if self.writes_parts:
-            return SinglePartWriter(self.part_writer(path, point_count))
-        widths = tuple(field.width for field in self._stored)
-        return PcdCompressedWriter(path, point_count, self._header, widths)
+            return TextWriter(path, point_count, head)
+        return _CompressedWriter(path, point_count, head, self._widths)
 
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
-        if not self.writes_parts:
-            return super().part_writer(path, point_count)
-        return PcdBinaryParts(path, point_count, self._header)
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
+        around = Surroundings(self._header.for_points(point_count))
+        return PartWriter(path, point_count, around, self._header.record_size)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further fields; see `MapReader.extended`."""
-        fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
-        model = copy(self)
-        model.further = tuple(fields)
-        model._header = self._header.extended(fields)
-        model._stored = (*self._stored, *model._header.fields[-len(fields) :])
-        return model
+    def _take_further(self) -> None:
+        self.further = tuple(
+            replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in self.further
+        )
+        self._header = self._header.extended(self.further)
+        self._stored = (*self._stored, *self._header.fields[-len(self.further) :])
+
+    @property
+    def _widths(self) -> tuple[int, ...]:
+        """Bytes of each column of compressed data in a record."""
+        return tuple(field.width for field in self._stored)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
         """Return the records with further values; see `MapReader.extend`."""
@@ -203,13 +200,12 @@ class PcdReader(MapReader):
                 yield self.batch_of(first_row, records)
 
     def _compressed_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        count = self._header.point_count
-        widths = tuple(field.width for field in self._stored)
+        count, size = self._header.point_count, self._header.point_count * sum(self._widths)
         if count == 0:
             return
-        with self._path.open("rb") as stream, ColumnSpool(widths, count) as spool:
+        with self._path.open("rb") as stream, ColumnSpool(self._widths, count) as spool:
             stream.seek(self._header.data_offset + _SIZES.size)
-            for block in decompress(stream, self._packed_size, count * sum(widths), self._path):
+            for block in decompress(stream, self._packed_size, size, self._path):
                 spool.append(block)
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
@@ -243,7 +239,7 @@ class PcdReader(MapReader):
         """Bytes, but of an ASCII file; see `MapReader.record_dtype`."""
         if self._header.encoding == "ascii":
             return None
-        return np.dtype(f"V{sum(field.width for field in self._stored)}")
+        return np.dtype(f"V{sum(self._widths)}")
 
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make a batch of binary records; see `MapReader.batch_of`."""
@@ -255,57 +251,32 @@ class PcdReader(MapReader):
         return PointBatch(first_row, xyz, records)
 
 
-class PcdBinaryParts(PartWriter):
-    """Writes records of one size, each to its place."""
+class _CompressedWriter(MapWriter):
+    """Collects columns of some widths in a temporary file, and compresses them in the end."""
 
-    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
+    def __init__(self, path: Path, point_count: int, head: bytes, widths: tuple[int, ...]) -> None:
         super().__init__(path, point_count)
-        self._start = header.for_points(point_count)
-        self._record_size = header.record_size
-
-    def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
-        """Write records to their places."""
-        put_records(file, len(self._start) + first * self._record_size, records)
-
-    def _write_surroundings(self, file: BinaryIO) -> None:
-        file.write(self._start)
-        file.truncate(len(self._start) + self.point_count * self._record_size)
-
-
-class PcdCompressedWriter(MapWriter):
-    """Collects columns in a temporary file, and compresses them in the end.
-
-    The header is that of the file that serves as the model; widths are bytes of each column in a
-    record.
-    """
-
-    def __init__(
-        self, path: Path, point_count: int, header: PcdHeader, widths: tuple[int, ...]
-    ) -> None:
-        super().__init__(path, point_count)
-        self._stream = create_file(path)  # closed by `_finish` and `_abandon`
-        self._stream.write(header.for_points(point_count))
+        self._file: BinaryIO = create_file(path)
+        self._file.write(head)
         self._column_size = point_count * sum(widths)
         self._spool = ColumnSpool(widths, point_count)
-        self._stored = 0
 
     def _append(self, records: Any) -> None:
-        self._spool.write_points(self._stored, records)
-        self._stored += len(records)
+        self._spool.write_points(self.written - len(records), records)
 
     def _finish(self) -> None:
-        with self._stream, self._spool:
-            sizes_at = self._stream.tell()
-            self._stream.write(_SIZES.pack(0, 0))
+        with self._file, self._spool:
+            sizes_at = self._file.tell()
+            self._file.write(_SIZES.pack(0, 0))
             packed_size = 0
             for block in self._spool.blocks():
-                packed_size += self._stream.write(compress(block))
+                packed_size += self._file.write(compress(block))
             if max(packed_size, self._column_size) >= 1 << 32:
                 found = f"{packed_size} of {self._column_size}"
                 raise MapFormatError(self.path, "compressed data below 4 GiB", found)
-            self._stream.seek(sizes_at)
-            self._stream.write(_SIZES.pack(packed_size, self._column_size))
+            self._file.seek(sizes_at)
+            self._file.write(_SIZES.pack(packed_size, self._column_size))
 
     def _abandon(self) -> None:
-        self._spool.close()
-        self._stream.close()
+        with self._file, self._spool:
+            pass
