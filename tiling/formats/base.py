@@ -24,6 +24,7 @@ from tiling.formats.points import (
     PointBatch,
     checked_rows,
     coordinate_names,
+    longer_records,
 )
 from tiling.output_file import create_file
 
@@ -126,6 +127,8 @@ class MapReader(ABC):
     """Whether several processes can write one output at once, see `part_writer`."""
     further: tuple[Field, ...] = ()
     """Fields that `extend` puts behind those of the file."""
+    _byte_order: str = "<"
+    """Of binary records."""
 
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
@@ -244,7 +247,7 @@ class MapReader(ABC):
 
         They are (n,) arrays, one for each of `further`.
         """
-        raise NotImplementedError(f"{self.description.format}: no further fields")
+        return longer_records(batch.records, self.further, values, self._byte_order)
 
     def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
         """Return extended records with these classes, (n,), where the format has any."""

@@ -32,15 +32,6 @@ _VALUE_BYTES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class TableBatch(PointBatch):
-    """Points whose records are a `pyarrow.Table`."""
-
-    def select(self, chosen: NDArray[np.bool_]) -> Any:
-        """Return the rows of the table where `chosen` is true, in order."""
-        return self.records.filter(pa.array(chosen))
-
-
-@dataclass(frozen=True, slots=True)
 class _Layout:
     """How the rows of a file lie in it."""
 
@@ -152,7 +143,7 @@ class ParquetReader(MapReader):
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
             table = pa.Table.from_batches([batch])
-            yield TableBatch(row, self._points.take(table), table)
+            yield PointBatch(row, self._points.take(table), table)
             row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"

@@ -55,12 +55,14 @@ class TextRows:
     def __getitem__(self, chosen: NDArray[np.bool_] | slice) -> "TextRows":
         return TextRows(self.text, self.starts[chosen], self.stops[chosen])
 
+    def __iter__(self) -> Iterator[bytes]:
+        text, bounds = self.text.tobytes(), zip(self.starts, self.stops, strict=True)
+        return (text[start:stop] for start, stop in bounds)
+
     def with_words(self, words: Sequence[bytes], separator: bytes = b" ") -> "TextRows":
         """Return the rows with some words behind the last value of each."""
-        text = self.text.tobytes()
         rows = []
-        for start, stop, more in zip(self.starts, self.stops, words, strict=True):
-            row = text[start:stop]
+        for row, more in zip(self, words, strict=True):
             content = row.rstrip() if separator == b" " else row.rstrip(b"\r\n")
             end = row[len(content) :].lstrip(b" \t")
             rows.append(b"%b%b%b%b" % (content, separator, more, end))
@@ -69,9 +71,7 @@ class TextRows:
 
     def column(self, number: int, dtype: np.dtype[Any], separator: bytes = b"") -> NDArray[Any]:
         """Return a value of each row, counted from 0: whole numbers as such, others as float64."""
-        text = self.text.tobytes()
-        bounds = zip(self.starts, self.stops, strict=True)
-        words = (text[a:b].split(separator or None)[number] for a, b in bounds)
+        words = (row.split(separator or None)[number] for row in self)
         values = np.array([float(word) for word in words], dtype=np.float64)
         whole = dtype.kind in "iu" and bool(np.isfinite(values).all())
         with np.errstate(invalid="ignore"):
@@ -79,9 +79,10 @@ class TextRows:
 
     def tobytes(self) -> bytes:
         """Return the rows' text, one row after the other."""
-        joined = np.empty(int((self.stops - self.starts).sum()), dtype=np.uint8)
-        _join_rows(self.text, self.starts, self.stops, joined)
-        return joined.tobytes()
+        steps = np.zeros(len(self.text) + 1, dtype=np.int8)
+        steps[self.starts] += 1
+        steps[self.stops] -= 1
+        return self.text[np.cumsum(steps[:-1], dtype=np.int8).view(np.bool_)].tobytes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +104,6 @@ class RowLayout:
         """Which values are converted, (values,)."""
         places = np.arange(self.values)
         return np.isin(places, self.coordinates) if self.free else places >= 0
-
-    @property
-    def least_bytes(self) -> int:
-        """Bytes of a row, at least; the last line of a file may have one less."""
-        return self.values * (1 if self.separator else 2)
 
 
 def read_rows(
@@ -192,7 +188,9 @@ def parse_rows(
     MapFormatError
         For another number of values in a row, and a value that is not a number.
     """
-    limit = min(limit, (len(text) - position) // layout.least_bytes + 1)
+    # A row has a byte for each value and one behind it, but for the last row of a file.
+    least_bytes = layout.values * (1 if layout.separator else 2)
+    limit = min(limit, (len(text) - position) // least_bytes + 1)
     wanted = layout.wanted
     numbers_wanted = int(np.count_nonzero(wanted))
     starts = np.empty(limit, dtype=np.int64)
@@ -254,11 +252,9 @@ def _split_rows(
     words: Bytes,
     bounds: Positions,
 ) -> tuple[int, int, int, int]:
-    """Find rows, and copy the words that are wanted into `words`, one after the other.
-
-    Returns the rows found, the position reached, the lines passed, and the values of a row that
-    has another number of them; else 0.
-    """
+    """Find rows, and copy the words that are wanted into `words`, one after the other."""
+    # Returned are the rows found, the position reached, the lines passed, and the values of a row
+    # that has another number of them; else 0.
     values = len(wanted)
     rows = lines = copied = words_found = 0
     while rows < len(starts) and position < len(text):
@@ -324,13 +320,3 @@ def _ends_word(byte: int, separator: int) -> bool:
     if separator:
         return byte == separator or byte == _LINE_FEED  # noqa: PLR1714
     return byte <= _BLANK and (_is_blank(byte, separator) or byte == _LINE_FEED)
-
-
-@compiled
-def _join_rows(text: Bytes, starts: Positions, stops: Positions, joined: Bytes) -> None:
-    """Copy rows one after the other into `joined`."""
-    target = 0
-    for row in range(len(starts)):
-        for source in range(starts[row], stops[row]):
-            joined[target] = text[source]
-            target += 1

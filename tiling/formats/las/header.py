@@ -17,21 +17,26 @@ SMALLEST_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point by point format, without extra bytes."""
 
-AT_GLOBAL_ENCODING = 6
-AT_MINOR_VERSION = 25
-AT_HEADER_SIZE = 94
-AT_POINTS_OFFSET = 96
-AT_VLR_COUNT = 100
-AT_POINT_FORMAT = 104
-AT_RECORD_LENGTH = 105
-AT_LEGACY_COUNT = 107
-AT_SCALES = 131
-AT_OFFSETS = 155
-AT_BOUNDS = 179
-AT_WAVEFORMS = 227
-AT_FIRST_EVLR = 235
-AT_COUNT = 247
-AT_GPS_TIME_BOUNDS = 375
+
+class At:
+    """Bytes of the public header block at which its fields begin."""
+
+    GLOBAL_ENCODING = 6
+    MINOR_VERSION = 25
+    HEADER_SIZE = 94
+    POINTS_OFFSET = 96
+    VLR_COUNT = 100
+    POINT_FORMAT = 104
+    RECORD_LENGTH = 105
+    LEGACY_COUNT = 107
+    SCALES = 131
+    OFFSETS = 155
+    BOUNDS = 179
+    WAVEFORMS = 227
+    FIRST_EVLR = 235
+    COUNT = 247
+    GPS_TIME_BOUNDS = 375
+
 
 WAVEFORMS_EXTERNAL = 0b100
 """Bit of the global encoding: waveform packets are in a `.wdp` file."""
@@ -111,14 +116,19 @@ class LasHeader:
         return len(self.block)
 
     @property
+    def extra_bytes(self) -> int:
+        """Bytes of a point behind the fields of its format."""
+        return self.record_length - RECORD_LENGTHS[self.point_format]
+
+    @property
     def public_size(self) -> int:
         """Bytes of the public header block."""
-        return int(struct.unpack_from("<H", self.block, AT_HEADER_SIZE)[0])
+        return int(struct.unpack_from("<H", self.block, At.HEADER_SIZE)[0])
 
     @property
     def global_encoding(self) -> int:
         """Bit field of the header."""
-        return int(struct.unpack_from("<H", self.block, AT_GLOBAL_ENCODING)[0])
+        return int(struct.unpack_from("<H", self.block, At.GLOBAL_ENCODING)[0])
 
     @property
     def has_waveforms(self) -> bool:
@@ -150,9 +160,9 @@ class _HeaderReader:
 
     def read(self) -> LasHeader:
         point_format, compressed, record_length = self._point_layout()
-        (legacy_count,) = self._unpack("<I", AT_LEGACY_COUNT)
+        (legacy_count,) = self._unpack("<I", At.LEGACY_COUNT)
         # Since 1.4 the field of 64 bits, unless only the older is filled.
-        count = (self._unpack("<Q", AT_COUNT)[0] if self._minor >= 4 else 0) or legacy_count
+        count = (self._unpack("<Q", At.COUNT)[0] if self._minor >= 4 else 0) or legacy_count
         start = self._points_offset()
         room = (self._size - start) // record_length
         if not compressed and count > room:
@@ -162,8 +172,8 @@ class _HeaderReader:
         self._file.seek(0)
         block = bytearray(self._file.read(start))
         vlrs = read_vlrs(block)
-        self._note_missing("VLR", self._unpack("<I", AT_VLR_COUNT)[0], len(vlrs))
-        struct.pack_into("<I", block, AT_VLR_COUNT, len(vlrs))
+        self._note_missing("VLR", self._unpack("<I", At.VLR_COUNT)[0], len(vlrs))
+        struct.pack_into("<I", block, At.VLR_COUNT, len(vlrs))
         promised, evlrs, end = self._evlrs(start)
         self._note_missing("EVLR", promised, len(evlrs))
         return LasHeader(
@@ -212,11 +222,11 @@ class _HeaderReader:
         major, minor = header[24], header[25]
         if major != 1 or minor not in SMALLEST_HEADER:
             raise self._wrong("LAS version 1.0 to 1.5", f"{major}.{minor}", 24)
-        (size,) = struct.unpack_from("<H", header, AT_HEADER_SIZE)
+        (size,) = struct.unpack_from("<H", header, At.HEADER_SIZE)
         whole = SMALLEST_HEADER[minor]
         if not SMALLEST_HEADER[0] <= size <= self._size:
             expected = f"a header of {whole} bytes or more within the file's {self._size}"
-            raise self._wrong(expected, f"header size {size}", AT_HEADER_SIZE)
+            raise self._wrong(expected, f"header size {size}", At.HEADER_SIZE)
         if size < whole:
             self._notes.append(
                 f"The header has {size} bytes, and that of LAS 1.{minor} has {whole}: what should "
@@ -227,38 +237,38 @@ class _HeaderReader:
 
     def _point_layout(self) -> tuple[int, bool, int]:
         """Return point format, whether it is compressed, and the bytes of a point."""
-        stored = self._header[AT_POINT_FORMAT]
+        stored = self._header[At.POINT_FORMAT]
         point_format = stored & ~_COMPRESSED
         if point_format >= len(RECORD_LENGTHS):
-            raise self._wrong("point format 0 to 10", f"{point_format}", AT_POINT_FORMAT)
-        (length,) = self._unpack("<H", AT_RECORD_LENGTH)
+            raise self._wrong("point format 0 to 10", f"{point_format}", At.POINT_FORMAT)
+        (length,) = self._unpack("<H", At.RECORD_LENGTH)
         least = RECORD_LENGTHS[point_format]
         if length < least:
             expected = f"points of {least} bytes or more (point format {point_format})"
-            raise self._wrong(expected, f"{length} bytes", AT_RECORD_LENGTH)
+            raise self._wrong(expected, f"{length} bytes", At.RECORD_LENGTH)
         return point_format, bool(stored & _COMPRESSED), length
 
     def _points_offset(self) -> int:
-        (offset,) = self._unpack("<I", AT_POINTS_OFFSET)
-        (end,) = self._unpack("<H", AT_HEADER_SIZE)
+        (offset,) = self._unpack("<I", At.POINTS_OFFSET)
+        (end,) = self._unpack("<H", At.HEADER_SIZE)
         if not end <= offset <= self._size:
             expected = f"points between the header's end ({end}) and the file's ({self._size})"
-            raise self._wrong(expected, f"offset to points {offset}", AT_POINTS_OFFSET)
+            raise self._wrong(expected, f"offset to points {offset}", At.POINTS_OFFSET)
         if offset > _LARGEST_BLOCK:
             expected = f"at most {_LARGEST_BLOCK} bytes before the points"
-            raise self._wrong(expected, f"{offset}", AT_POINTS_OFFSET)
+            raise self._wrong(expected, f"{offset}", At.POINTS_OFFSET)
         return int(offset)
 
     def _grid(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return scales and offsets, which no integer takes beyond what is finite."""
-        scales: tuple[float, float, float] = struct.unpack_from("<3d", self._header, AT_SCALES)
-        offsets: tuple[float, float, float] = struct.unpack_from("<3d", self._header, AT_OFFSETS)
+        scales: tuple[float, float, float] = struct.unpack_from("<3d", self._header, At.SCALES)
+        offsets: tuple[float, float, float] = struct.unpack_from("<3d", self._header, At.OFFSETS)
         for axis, (scale, offset) in enumerate(zip(scales, offsets, strict=True)):
             if scale == 0 or not math.isfinite(abs(scale) * _LARGEST_GRID_COORDINATE + abs(offset)):
                 expected = (
                     f"a scale of {'xyz'[axis]} other than 0, and an offset, of finite coordinates"
                 )
-                place = f"bytes {AT_SCALES + 8 * axis} and {AT_OFFSETS + 8 * axis}"
+                place = f"bytes {At.SCALES + 8 * axis} and {At.OFFSETS + 8 * axis}"
                 found = f"scale {scale}, offset {offset}"
                 raise MapFormatError(self._path, expected, found, place)
         return scales, offsets
@@ -267,7 +277,7 @@ class _HeaderReader:
         """Return how many extended records there should be, the whole ones, and where these end."""
         if self._minor < 4:
             return 0, (), 0
-        start, count = self._unpack("<QI", AT_FIRST_EVLR)
+        start, count = self._unpack("<QI", At.FIRST_EVLR)
         records: list[VariableLengthRecord] = []
         while len(records) < count and points_offset <= start <= self._size - _EVLR_HEADER:
             self._file.seek(start)
@@ -287,7 +297,7 @@ class _HeaderReader:
 
         It has the header of an EVLR, in LAS 1.3 too.
         """
-        start = self._unpack("<Q", AT_WAVEFORMS)[0] if self._minor >= 3 else 0
+        start = self._unpack("<Q", At.WAVEFORMS)[0] if self._minor >= 3 else 0
         if start < points_offset or start + _EVLR_HEADER > self._size:
             return None
         self._file.seek(start + 20)
@@ -298,8 +308,8 @@ class _HeaderReader:
 
 def read_vlrs(block: bytes | bytearray) -> tuple[VariableLengthRecord, ...]:
     """Split what lies between the public header and the points into its records, the whole ones."""
-    (start,) = struct.unpack_from("<H", block, AT_HEADER_SIZE)
-    (count,) = struct.unpack_from("<I", block, AT_VLR_COUNT)
+    (start,) = struct.unpack_from("<H", block, At.HEADER_SIZE)
+    (count,) = struct.unpack_from("<I", block, At.VLR_COUNT)
     records: list[VariableLengthRecord] = []
     while len(records) < count and start + _VLR_HEADER <= len(block):
         size = _VLR_HEADER + struct.unpack_from("<H", block, start + 20)[0]

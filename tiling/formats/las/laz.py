@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
+from tiling.formats.las.compression import Chunk, Compression, comes_from_lazrs, find_chunks
 from tiling.formats.las.header import LasHeader
-from tiling.formats.las.laz_chunks import Chunk, comes_from_lazrs, find_chunks
-from tiling.formats.las.laz_header import Compression
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.base import MapWriter
-from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
+from tiling.formats.las.compression import Compression, own_compression
+from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
-from tiling.formats.las.laz_header import Compression, own_compression
 from tiling.formats.las.surroundings import LasSummary, LasSurroundings
 from tiling.output_file import create_file
 
@@ -75,10 +75,9 @@ class LazWriter(MapWriter):
 
 def _followed_compression(header: LasHeader, compression: Compression) -> bytes | None:
     """Return the data of lazrs's own laszip VLR, None where it writes what the input's says."""
-    extra_bytes = header.record_length - RECORD_LENGTHS[header.point_format]
     variable_chunks = header.point_format in _LAYERED_WAVE_PACKETS
     # Both have the same items, if not of the same version, and hence the same length.
-    data = own_compression(header.point_format, extra_bytes, variable_chunks)
+    data = own_compression(header, variable_chunks)
     follows = compression.can_be_written_as(data) and compression.chunk_size <= _LARGEST_CHUNK
     return None if follows and not variable_chunks else data
 
@@ -137,11 +136,7 @@ class _ParallelChunks(_Chunks):
 
 
 class _ChannelChunks(_Chunks):
-    """Ends a chunk where the scanner channel changes.
-
-    lazrs, unlike LASzip, does not restore the wave packet that it remembers of each channel, and
-    so loses them.
-    """
+    """Ends a chunk where the scanner channel changes: lazrs mixes up the channels' wave packets."""
 
     def __init__(self, file: BinaryIO, vlr: Any) -> None:
         super().__init__(lazrs.LasZipCompressor(file, vlr))

@@ -13,19 +13,12 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.formats.las.compression import is_laszip_record
 from tiling.formats.las.header import (
-    AT_BOUNDS,
-    AT_COUNT,
-    AT_FIRST_EVLR,
-    AT_GPS_TIME_BOUNDS,
-    AT_LEGACY_COUNT,
-    AT_POINTS_OFFSET,
-    AT_VLR_COUNT,
-    AT_WAVEFORMS,
+    At,
     LasHeader,
     VariableLengthRecord,
 )
-from tiling.formats.las.laz_header import is_laszip_record
 from tiling.formats.parts import PartSummary, PartWriter, Surroundings, integers, member
 from tiling.grid import integers_in_records
 
@@ -112,18 +105,18 @@ class LasSummary(PartSummary):
         first, last = self.gps_time
         if self.minor_version >= 5 and (first <= last or self.count == 0):
             times = (last, first) if self.count else (0.0, 0.0)
-            struct.pack_into("<2d", block, AT_GPS_TIME_BOUNDS, *times)
+            struct.pack_into("<2d", block, At.GPS_TIME_BOUNDS, *times)
 
     def _write_counts(self, block: bytearray, header: LasHeader) -> None:
         """Set both generations of counts; the older stays empty where it was, as 1.4 allows."""
         count, by_return = self.count, self.returns[1:].tolist()
         if self.minor_version >= 4:
-            struct.pack_into("<16Q", block, AT_COUNT, count, *by_return)
-            (legacy,) = struct.unpack_from("<I", block, AT_LEGACY_COUNT)
+            struct.pack_into("<16Q", block, At.COUNT, count, *by_return)
+            (legacy,) = struct.unpack_from("<I", block, At.LEGACY_COUNT)
             unused = header.point_count > 0 and legacy == 0
             if unused or count > 0xFFFFFFFF:
                 count, by_return = 0, [0] * 15
-        struct.pack_into("<6I", block, AT_LEGACY_COUNT, count, *by_return[:5])
+        struct.pack_into("<6I", block, At.LEGACY_COUNT, count, *by_return[:5])
 
     def _write_bounds(self, block: bytearray, header: LasHeader) -> None:
         """Set the bounds; one that is still right keeps its bits, however it was rounded."""
@@ -131,7 +124,7 @@ class LasSummary(PartSummary):
             scale, offset = header.scales[axis], header.offsets[axis]
             ends = [self.highest[axis], self.lowest[axis]]
             for place, end in enumerate(ends if scale > 0 else reversed(ends)):
-                at = AT_BOUNDS + 16 * axis + 8 * place
+                at = At.BOUNDS + 16 * axis + 8 * place
                 value = float(end) * scale + offset if self.count else 0.0
                 (old,) = struct.unpack_from("<d", block, at)
                 if not self.count or not abs(old - value) < abs(scale) / 2:
@@ -160,8 +153,8 @@ class LasSurroundings(Surroundings):
         if len(kept) < len(header.vlrs):
             for record in reversed([r for r in header.vlrs if is_copc_index(r)]):
                 del block[record.start : record.end]
-            struct.pack_into("<I", block, AT_VLR_COUNT, len(kept))
-        struct.pack_into("<I", block, AT_POINTS_OFFSET, len(block))
+            struct.pack_into("<I", block, At.VLR_COUNT, len(kept))
+        struct.pack_into("<I", block, At.POINTS_OFFSET, len(block))
         evlrs = [(r.start, r.end) for r in header.evlrs if not is_copc_index(r)]
         self._evlr_count = len(evlrs)
         waveforms = header.waveforms
@@ -175,10 +168,10 @@ class LasSurroundings(Surroundings):
         block = bytearray(self.head)
         if header.minor_version >= 4:
             first = position if self._evlr_count else 0
-            struct.pack_into("<QI", block, AT_FIRST_EVLR, first, self._evlr_count)
+            struct.pack_into("<QI", block, At.FIRST_EVLR, first, self._evlr_count)
         for start, end in self._after:
             if header.waveforms is not None and start == header.waveforms[0]:
-                struct.pack_into("<Q", block, AT_WAVEFORMS, position)
+                struct.pack_into("<Q", block, At.WAVEFORMS, position)
             position += end - start
         summary.write_into(block, header)
         return bytes(block)

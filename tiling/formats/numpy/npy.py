@@ -3,7 +3,7 @@
 Organised ones, (H, W, 3 or more) or (H, W), are read row by row.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -22,7 +22,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter, Surroundings
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, longer_records
+from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
 
 
 class NpyReader(MapReader):
@@ -101,14 +101,8 @@ class NpyReader(MapReader):
         self._header = header
         if not header.dtype.names:
             # A column has the type of the others.
+            self._byte_order = header.dtype.str[0]
             self.further = tuple(replace(each, dtype=header.dtype.name) for each in self.further)
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        """Return the rows with further values; see `MapReader.extend`."""
-        dtype = self._header.dtype
-        return longer_records(
-            batch.records, self.further, values, "<" if dtype.names else dtype.str[0]
-        )
 
     def _part_writer(self, path: Path, point_count: int) -> PartWriter:
         return _NpyParts(path, point_count, self._header)

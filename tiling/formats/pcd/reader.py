@@ -13,7 +13,7 @@ decompressed to, and compressed from, a temporary file of the size of its points
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -31,8 +31,6 @@ from tiling.formats.pcd.header import PcdField, read_header
 from tiling.formats.points import (
     MapDescription,
     PointBatch,
-    longer_records,
-    longer_rows,
     only_rows,
 )
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
@@ -108,11 +106,6 @@ class PcdReader(MapReader):
     def _widths(self) -> tuple[int, ...]:
         """Bytes of each column of compressed data in a record."""
         return tuple(field.width for field in self._stored)
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
-        """Return the records with further values; see `MapReader.extend`."""
-        longer = longer_rows if self._header.encoding == "ascii" else longer_records
-        return longer(batch.records, self.further, values)
 
     def _check_size(self, size: int) -> None:
         """Compare the points announced with the bytes that follow the header."""

@@ -1,6 +1,6 @@
 """PLY maps: ASCII and binary of both byte orders, with any properties and further elements."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -19,8 +19,6 @@ from tiling.formats.points import (
     MapDescription,
     PointBatch,
     coordinate_names,
-    longer_records,
-    longer_rows,
     only_rows,
 )
 from tiling.formats.text_rows import TextRows
@@ -40,6 +38,7 @@ class PlyReader(MapReader):
         self._path = path
         with path.open("rb") as file:
             self._header = read_header(file, path)
+        self._byte_order = self._header.byte_order
         self._is_checked = False
         vertex = self._header.vertex
         names = coordinate_names([each.name for each in vertex.scalars])
@@ -117,12 +116,6 @@ class PlyReader(MapReader):
     def _take_further(self) -> None:
         self._surroundings(0)  # found by this header, the one of the file
         self._header = self._header.extended(self.further)
-
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
-        """Return the records with further values; see `MapReader.extend`."""
-        if self._header.encoding == "ascii":
-            return longer_rows(batch.records, self.further, values)
-        return longer_records(batch.records, self.further, values, self._header.byte_order)
 
     def _check_size(self) -> None:
         """Compare the counts of the header with the size of the file."""
