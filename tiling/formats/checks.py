@@ -47,6 +47,14 @@ def kind_of(start: bytes) -> str:
     return f"a file that begins with {start[:16]!r}"
 
 
+def check_signature(path: Path, signature: bytes, expected: str) -> None:
+    """Refuse a file that does not begin as its kind does."""
+    with path.open("rb") as file:
+        start = file.read(SIGNATURE_LENGTH)
+    if not start.startswith(signature):
+        raise MapFormatError(path, expected, kind_of(start), at="byte 0")
+
+
 PADDING = b"\0\t\n\r "
 """Bytes that writers fill a file up with, to the end of a page or of a line."""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
+from tiling.formats.checks import check_signature
 from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
@@ -256,10 +256,8 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
 
 def _check_signature(path: Path) -> None:
     """Check how the file begins and ends."""
+    check_signature(path, b"PAR1", "a Parquet file")
     with path.open("rb") as raw:
-        start = raw.read(SIGNATURE_LENGTH)
-        if not start.startswith(b"PAR1"):
-            raise MapFormatError(path, "a Parquet file", kind_of(start), at="byte 0")
         size = raw.seek(0, 2)
         raw.seek(max(size - 4, 0))
         if size < 12 or raw.read(4) != b"PAR1":

@@ -181,12 +181,8 @@ def parse_rows(
     """Take up to `limit` rows out of whole lines of text, (m,), from a position on.
 
     Returns the rows, their coordinates, (n, 3), the position after them, and the lines passed. The
-    file, and the number of the line at the position, are for messages.
-
-    Raises
-    ------
-    MapFormatError
-        For another number of values in a row, and a value that is not a number.
+    file, and the number of the line at the position, are for messages: another number of values in
+    a row, and a value that is not a number, are refused.
     """
     # A row has a byte for each value and one behind it, but for the last row of a file.
     least_bytes = layout.values * (1 if layout.separator else 2)

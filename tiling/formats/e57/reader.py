@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
+from tiling.formats.checks import check_signature
 from tiling.formats.e57.scan import Scan, read_scan
 from tiling.formats.e57.tree import children, copy_tree, library, member, node, opened, write_errors
 from tiling.formats.las.crs import name_in_wkt
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
 from tiling.output_file import create_file
 
-_SIGNATURE = b"ASTM-E57"
 _WRITTEN = 1 << 16
 """Points that libE57 is given at a time."""
 
@@ -54,10 +53,7 @@ class E57Reader(MapReader):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with path.open("rb") as file:
-            start = file.read(SIGNATURE_LENGTH)
-        if not start.startswith(_SIGNATURE):
-            raise MapFormatError(path, "an E57 file", kind_of(start), at="byte 0")
+        check_signature(path, b"ASTM-E57", "an E57 file")
         size = path.stat().st_size
         with opened(path) as image:
             root = image.root()

@@ -115,13 +115,7 @@ def _items(data: bytes | bytearray) -> list[tuple[int, int, int]]:
 
 
 def read_compression(header: LasHeader) -> Compression:
-    """Find and check the laszip VLR of a LAZ file.
-
-    Raises
-    ------
-    MapFormatError
-        When there is none, or it describes other points than the header does.
-    """
+    """Find the laszip VLR of a LAZ file; refuse none, and one of other points than the header's."""
     record = next((r for r in header.vlrs if is_laszip_record(r)), None)
     if record is None:
         raise MapFormatError(header.path, "a laszip VLR, since the points are compressed", "none")

@@ -134,12 +134,8 @@ def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
     """Return the header of a file's points with further extra bytes, and the VLRs that these need.
 
     The VLR of extra bytes gets a descriptor for each field; one is made where there is none, and of
-    several. That of LASzip, which lists the bytes of a point, is written anew.
-
-    Raises
-    ------
-    MapFormatError
-        When a point, or the VLR, would be longer than the format allows.
+    several. That of LASzip, which lists the bytes of a point, is written anew. Points and VLRs that
+    would be longer than the format allows are refused.
     """
     length = header.record_length + sum(np.dtype(field.dtype).itemsize for field in fields)
     descriptors = _extended_descriptors(header, fields)

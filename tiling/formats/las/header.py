@@ -137,13 +137,7 @@ class LasHeader:
 
 
 def read_header(path: Path) -> LasHeader:
-    """Read and check everything of a LAS or LAZ file but its points.
-
-    Raises
-    ------
-    MapFormatError
-        When the header contradicts the specification or the file's size.
-    """
+    """Read everything of a LAS or LAZ file but its points; refuse what contradicts its size."""
     with path.open("rb") as file:
         return _HeaderReader(path, file).read()
 
@@ -293,10 +287,8 @@ class _HeaderReader:
         return count, tuple(records), start
 
     def _waveforms(self, points_offset: int) -> tuple[int, int] | None:
-        """Find the record of waveform packets in the file; None where there is no whole one.
-
-        It has the header of an EVLR, in LAS 1.3 too.
-        """
+        """Find the record of waveform packets in the file; None where there is no whole one."""
+        # It has the header of an EVLR, in LAS 1.3 too.
         start = self._unpack("<Q", At.WAVEFORMS)[0] if self._minor >= 3 else 0
         if start < points_offset or start + _EVLR_HEADER > self._size:
             return None

@@ -84,11 +84,7 @@ class LazPoints:
     def read_into(self, records: NDArray[np.uint8]) -> None:
         """Decompress the next points into (n, record_length), contiguous.
 
-        Raises
-        ------
-        MapFormatError
-            When the compressed bytes end too early or make no sense, or chunks or layers contradict
-            the file's size.
+        Refused are bytes that end too early or make no sense, and chunks beyond the file's size.
         """
         done = 0
         while done < len(records):

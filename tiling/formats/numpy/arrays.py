@@ -245,13 +245,7 @@ class RowReader:
         self._row = first_row
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Read the next rows, (count,) of `header.row_bytes` bytes, elements gathered.
-
-        Raises
-        ------
-        MapFormatError
-            When the values end before.
-        """
+        """Read the next rows, (count,) of `header.row_bytes` bytes; refuse an end before."""
         header = self._header
         columns = header.column_count
         if not header.row_bytes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
+from tiling.formats.checks import check_leftover, check_signature
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
     RowReader,
@@ -176,10 +176,7 @@ class NpzReader(MapReader):
 
 
 class _NpzWriter(MapWriter):
-    """Gathers each array of the points in a nameless temporary file, and then zips them.
-
-    An archive is written one entry after the other, and batches hold some rows of every entry.
-    """
+    """Gathers each array of the points in a temporary file, and zips one after the other."""
 
     def __init__(
         self, path: Path, point_count: int, source: Path, members: tuple[_Member, ...]
@@ -227,10 +224,7 @@ class _NpzWriter(MapWriter):
 @contextmanager
 def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open an archive for reading, and turn what is wrong with it into a `MapFormatError`."""
-    with path.open("rb") as file:
-        start = file.read(SIGNATURE_LENGTH)
-    if not start.startswith(b"PK"):
-        raise MapFormatError(path, "a ZIP archive of NumPy arrays", kind_of(start), at="byte 0")
+    check_signature(path, b"PK", "a ZIP archive of NumPy arrays")
     try:
         with zipfile.ZipFile(path) as archive:
             yield archive

@@ -145,19 +145,9 @@ class PcdHeader:
                 lines.append(line)
         return replace(self, lines=tuple(lines), fields=tuple(fields))
 
-    def described_fields(self) -> tuple[Field, ...]:
-        """Return the fields in the terms that all formats share."""
-        return tuple(Field(field.name, field.dtype, field.count) for field in self.fields)
-
 
 def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
-    """Read the header at the beginning of a stream, and leave the stream at the first point.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not the header of a PCD file with x, y and z.
-    """
+    """Read the header of a PCD file with x, y and z, up to the first point; refuse any other."""
     said = _Said(path)
     said.read(stream)
     fields = _fields(said)

@@ -29,6 +29,7 @@ from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
 from tiling.formats.pcd.header import PcdField, read_header
 from tiling.formats.points import (
+    Field,
     MapDescription,
     PointBatch,
     only_rows,
@@ -47,7 +48,7 @@ class PcdReader(MapReader):
     """Reads a PCD file."""
 
     def __init__(self, path: Path) -> None:
-        self._path = Path(path)
+        self._path = path
         with self._path.open("rb") as stream:
             self._header = read_header(stream, self._path)
             size = self._path.stat().st_size - self._header.data_offset
@@ -70,7 +71,7 @@ class PcdReader(MapReader):
             format=f"PCD {self._header.encoding}",
             suffix=".pcd",
             point_count=self._header.point_count,
-            fields=self._header.described_fields(),
+            fields=tuple(Field(each.name, each.dtype, each.count) for each in self._header.fields),
             notes=notes,
             viewpoint=self._header.viewpoint,
         )
@@ -119,14 +120,11 @@ class PcdReader(MapReader):
             raise MapFormatError(self._path, expected, str(size), f"byte {header.data_offset}")
 
     def _check_leftover(self, stream: BinaryIO, stop: int) -> tuple[str, ...]:
-        """Refuse points that the header does not count; return notes on other bytes.
-
-        Rows of text are counted when they are read, unless there is none to be read.
-        """
+        """Refuse points that the header does not count; return notes on other bytes."""
         header = self._header
         start, record_size = header.data_offset, header.record_size
         if header.encoding == "ascii":
-            if header.point_count:
+            if header.point_count:  # rows of text are counted when they are read
                 return ()
             record_size = 2 * header.value_count - 1
         elif header.encoding == "binary":
@@ -138,10 +136,7 @@ class PcdReader(MapReader):
         return () if header.encoding == "ascii" else notes
 
     def _check_compressed(self, stream: BinaryIO, size: int) -> tuple[int, tuple[PcdField, ...]]:
-        """Return the size of the compressed data, and the fields that are in them.
-
-        PCL leaves padding fields (`_`) out of the data, and others do not: the size tells.
-        """
+        """Return the size of the compressed data, and the fields that are in them."""
         header = self._header
         at = f"byte {header.data_offset}"
         if header.point_count == 0:
@@ -153,6 +148,7 @@ class PcdReader(MapReader):
         if packed_size > size - _SIZES.size:
             expected = f"{packed_size} compressed bytes"
             raise MapFormatError(self._path, expected, str(size - _SIZES.size), at)
+        # PCL leaves padding fields out of the data, and others do not: the size tells.
         named = tuple(field for field in header.fields if field.name != "_")
         for fields in (header.fields, named):
             if column_size == header.point_count * sum(field.width for field in fields):

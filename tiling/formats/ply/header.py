@@ -155,13 +155,7 @@ class PlyHeader:
 
 
 def read_header(file: BinaryIO, path: Path) -> PlyHeader:
-    """Read the header that `file` begins with.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not a PLY header, or not one of a map: no vertices, or none with x, y and z.
-    """
+    """Read the header that a file begins with; refuse one of no vertices."""
     start = file.read(_LONGEST_HEADER)
     if not re.match(rb"ply[ \t]*[\r\n]", start):
         raise MapFormatError(path, "a PLY file", kind_of(start[:SIGNATURE_LENGTH]), at="byte 0")

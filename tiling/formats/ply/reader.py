@@ -13,7 +13,7 @@ from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.ply.header import VERTEX, PlyProperty, read_header
-from tiling.formats.ply.rows import PlyRows, open_rows
+from tiling.formats.ply.rows import open_rows
 from tiling.formats.points import (
     Field,
     MapDescription,
@@ -92,7 +92,7 @@ class PlyReader(MapReader):
             if rows.stop == vertex.count and not self._is_checked:
                 for element in elements[place + 1 :]:
                     reader.skip(element)
-                self._check_behind(file, reader)
+                self._check_behind(file, reader.position)
                 self._is_checked = True
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
@@ -144,29 +144,24 @@ class PlyReader(MapReader):
         return Surroundings(header.encode(point_count), self._path, before, after)
 
     def _check_what_is_known(self) -> tuple[str, ...]:
-        """Refuse vertices that the header does not count, where no record need be read for that.
-
-        Otherwise they are met when the last vertex has been read; unless there is none to be read.
-        """
+        """Refuse vertices that the header does not count, where no record need be read for that."""
         header = self._header
         if header.encoding != "ascii" and all(each.is_fixed for each in header.elements):
             with self._path.open("rb") as file:
-                rows = open_rows(file, header, self._path)
-                for element in header.elements:
-                    rows.skip(element)
-                return self._check_behind(file, rows)
+                return self._check_behind(file, max(end for _, end in self._spans.values()))
+        # Otherwise they are met when the last vertex has been read, unless there is none.
         if not header.vertex.count:
             next(self._batches_from(range(0), 1), None)
         return ()
 
-    def _check_behind(self, file: BinaryIO, rows: PlyRows) -> tuple[str, ...]:
+    def _check_behind(self, file: BinaryIO, start: int) -> tuple[str, ...]:
         """Refuse bytes behind all elements that could be another vertex."""
         vertex = self._header.vertex
         counts = ", ".join(f"{e.count} {e.name}" for e in self._header.elements)
         is_text = self._header.encoding == "ascii"
         least = 2 * len(vertex.properties) - 1 if is_text else vertex.least_bytes
         stop = self._path.stat().st_size
-        return check_leftover(file, rows.position, stop, least, self._path, counts)
+        return check_leftover(file, start, stop, least, self._path, counts)
 
     @cached_property
     def _spans(self) -> dict[str, tuple[int, int]]:
