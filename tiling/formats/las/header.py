@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 
 SMALLEST_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 """Bytes of the public header block by minor version."""
@@ -206,10 +207,7 @@ class _HeaderReader:
         """Return the minor version whose fields are there, and the public header block."""
         header = self._file.read(SMALLEST_HEADER[5])
         if header[:4] != b"LASF":
-            found = repr(header[:4])[1:] if header else "an empty file"
-            if header.startswith(b"version https://git-lfs"):
-                found = "a Git LFS pointer in place of the file"
-            raise self._wrong('the LAS signature "LASF"', found, 0)
+            raise self._wrong('the LAS signature "LASF"', kind_of(header[:SIGNATURE_LENGTH]), 0)
         if self._size < SMALLEST_HEADER[0]:
             expected = f"a header of {SMALLEST_HEADER[0]} bytes"
             raise MapFormatError(self._path, expected, f"the file's end at byte {self._size}")

@@ -110,11 +110,8 @@ class NpzReader(MapReader):
             for first in range(rows.start, rows.stop, max_points):
                 records = np.empty(min(max_points, rows.stop - first), dtype=self._dtype)
                 arrays = {}
-                for field, (name, _), reader in zip(
-                    self._dtype.names or (), self._columns, readers, strict=True
-                ):
-                    arrays[name] = reader.read(len(records))
-                    records[field] = arrays[name]
+                for number, (name, _) in enumerate(self._columns):
+                    records[f"array {number}"] = arrays[name] = readers[number].read(len(records))
                 yield PointBatch(first, self._xyz(arrays), records)
             if rows.stop == self.description.point_count:
                 for reader in readers:

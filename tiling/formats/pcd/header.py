@@ -22,13 +22,7 @@ LONGEST_HEADER = 1 << 20
 LARGEST_RECORD = 1 << 24
 """Most bytes, or values, of one point."""
 
-ENCODINGS = {
-    "ascii": "ascii",
-    "binary": "binary",
-    "binary_compressed": "binary_compressed",
-    # A slip of the pen in some writers, which readers have learnt to take.
-    "binaryscompressed": "binary_compressed",
-}
+_ENCODINGS = ("ascii", "binary", "binary_compressed")
 
 _TYPES = {
     **{("I", size): f"int{8 * size}" for size in (1, 2, 4, 8)},
@@ -126,21 +120,15 @@ class PcdHeader:
             fields.append(PcdField(each.name, each.dtype, size, 1, offset))
             offset += size
         kinds = {dtype: kind for (kind, _), dtype in _TYPES.items()}
+        rows = [(f.name, f"{f.size}", kinds[f.dtype], f"{f.count}") for f in fields]
         # Old files lack some of these lines; with fields of other types they need them.
-        words = {
-            "FIELDS": [field.name for field in fields],
-            "SIZE": [str(field.size) for field in fields],
-            "TYPE": [kinds[field.dtype] for field in fields],
-            "COUNT": [str(field.count) for field in fields],
-        }
+        words = dict(zip(("FIELDS", "SIZE", "TYPE", "COUNT"), zip(*rows, strict=True), strict=True))
         lines: list[bytes] = []
         for line in self.lines:
             keyword = (line.split() or [b""])[0].decode("latin-1").replace("COLUMNS", "FIELDS")
             if keyword == "FIELDS":
-                ending = line[len(line.rstrip()) :]
-                lines += [
-                    f"{name} {' '.join(values)}".encode() + ending for name, values in words.items()
-                ]
+                end = line[len(line.rstrip()) :]
+                lines += [f"{name} {' '.join(row)}".encode() + end for name, row in words.items()]
             elif keyword not in words:
                 lines.append(line)
         return replace(self, lines=tuple(lines), fields=tuple(fields))
@@ -154,9 +142,10 @@ def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
     width, height = _extent(said)
     viewpoint = _viewpoint(said)
     word = said.values["DATA"][0]
-    if word.lower() not in ENCODINGS:
+    # Some writers slip, which readers have learnt to take.
+    encoding = word.lower().replace("binaryscompressed", "binary_compressed")
+    if encoding not in _ENCODINGS:
         raise said.wrong("DATA ascii, binary or binary_compressed", repr(_shortened(word)), "DATA")
-    encoding = ENCODINGS[word.lower()]
     coordinates = _coordinates(fields, said)
     return PcdHeader(tuple(said.lines), fields, coordinates, width, height, encoding, viewpoint)
 
@@ -205,21 +194,21 @@ class _Said:
         """Return the error of a keyword's line."""
         return MapFormatError(self.path, expected, found, f"line {self._places[keyword]}")
 
-    def numbers(self, keyword: str, default: int, count: int) -> list[int]:
-        """Return a keyword's numbers, or `count` times the default where it is missing."""
+    def numbers(self, keyword: str, missing: list[int]) -> list[int]:
+        """Return a keyword's numbers, or others where it is missing."""
         for value in self.values.get(keyword, ()):
             # Python would take `1_000`, and digits of other scripts, too.
             if not (value.isascii() and value.isdigit() and len(value) <= 18):
                 expected = f"a whole number after {keyword}"
                 raise self.wrong(expected, repr(_shortened(value)), keyword)
-        return [int(value) for value in self.values.get(keyword, [str(default)] * count)]
+        return [int(value) for value in self.values.get(keyword, missing)]
 
     def number(self, keyword: str) -> int:
         """Return a keyword's only number, 0 where it is missing."""
         found = len(self.values.get(keyword, "0"))
         if found != 1:
             raise self.wrong(f"one value of {keyword}", f"{found}", keyword)
-        return self.numbers(keyword, 0, 1)[0]
+        return self.numbers(keyword, [0])[0]
 
 
 def _fields(said: _Said) -> tuple[PcdField, ...]:
@@ -232,7 +221,7 @@ def _fields(said: _Said) -> tuple[PcdField, ...]:
         if found != len(names):
             expected = f"{len(names)} values of {keyword}, one for each of FIELDS"
             raise said.wrong(expected, f"{found}", keyword)
-    sizes, counts = said.numbers("SIZE", 4, len(names)), said.numbers("COUNT", 1, len(names))
+    sizes, counts = said.numbers("SIZE", [4] * len(names)), said.numbers("COUNT", [1] * len(names))
     types = said.values.get("TYPE", ["F"] * len(names))
     fields, offset = [], 0
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):

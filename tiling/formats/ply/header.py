@@ -145,13 +145,11 @@ class PlyHeader:
         dropped = {element.name for element in self.dropped}
         lines = []
         for line, owner in zip(self.lines, self.owners, strict=True):
-            if owner in dropped:
-                continue
-            if owner == VERTEX and line.split()[0] == b"element":
-                lines.append(re.sub(rb"\d+(\s*)$", b"%d\\1" % vertex_count, line))
-            else:
-                lines.append(line)
-        return b"".join(line + self.line_end for line in lines)
+            if owner not in dropped:
+                counts = owner == VERTEX and line.split()[0] == b"element"
+                own = re.sub(rb"\d+(\s*)$", b"%d\\1" % vertex_count, line) if counts else line
+                lines.append(own + self.line_end)
+        return b"".join(lines)
 
 
 def read_header(file: BinaryIO, path: Path) -> PlyHeader:
@@ -206,7 +204,8 @@ class _HeaderParser:
         elif keyword == "format":
             self._format(words)
         elif keyword == "end_header" and len(words) == 1:
-            self._end()
+            self._check_elements()
+            self.ended = True
         elif not (keyword in ("", "comment", "obj_info") or number == 1):
             raise self._error("a keyword of a PLY header", repr(keyword))
         self.owners.append(owner)
@@ -268,10 +267,9 @@ class _HeaderParser:
             raise self._error("a PLY type such as 'float' or 'uint8'", repr(word))
         return np.dtype(_BYTE_ORDERS[self.encoding] + _TYPES[word])
 
-    def _end(self) -> None:
+    def _check_elements(self) -> None:
         if VERTEX not in self._counts:
             raise self._error("an element 'vertex'", "none in the header")
         for name, properties in self._properties.items():
             if self._counts[name] and not properties:
                 raise self._error(f"properties of element {name!r}", "none in the header")
-        self.ended = True

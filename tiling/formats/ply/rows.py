@@ -26,8 +26,11 @@ _MOST_BYTES = 1 << 26
 class PlyRows(ABC):
     """Records from a place in the file on."""
 
-    position: int
-    """Byte at which the next record begins."""
+    def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
+        self._file = file
+        self._path = path
+        self.position = header.size
+        """Byte at which the next record begins."""
 
     @abstractmethod
     def take(
@@ -56,9 +59,7 @@ class _AsciiRows(PlyRows):
     """Records that are lines of text; blank lines are no records."""
 
     def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
-        self.position = header.size
-        self._file = file
-        self._path = path
+        super().__init__(file, header, path)
         self._line_end = header.line_end
         self._line = len(header.lines) + 1
         self._block = b""
@@ -173,9 +174,7 @@ class _BinaryRows(PlyRows):
     """Records that are packed bytes."""
 
     def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
-        self.position = header.size
-        self._file = file
-        self._path = path
+        super().__init__(file, header, path)
         self._size = os.fstat(file.fileno()).st_size
 
     def take(
