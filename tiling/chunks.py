@@ -13,14 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
 from tiling.formats.parquet_tables import open_parquet, xyz_of
 from tiling.formats.points import COORDINATES, only_finite
 from tiling.grid import Grid
 from tiling.layout import Layout
-from tiling.output_file import create_file
+from tiling.output_file import atomic_file, create_file
 from tiling.survey import Survey
 
 ChunkFormat = Literal["parquet", "las", "laz"]

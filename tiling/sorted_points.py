@@ -8,11 +8,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tiling.atomic import atomic_file
 from tiling.errors import ChunkError
 from tiling.formats.parquet_tables import open_parquet, xyz_of
 from tiling.formats.points import COORDINATES
-from tiling.output_file import create_file
+from tiling.output_file import atomic_file, create_file
 
 Near = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 """Tells which of some boxes, seen from above, are near: of low (m, 2) and high (m, 2)."""

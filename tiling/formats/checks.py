@@ -5,6 +5,7 @@ refused as soon as one more point has room in them; less than that, and padding,
 noted.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -84,17 +85,16 @@ def check_leftover(
     if size <= 0:
         return ()
     room = size // max(record_size, 1)
-    if room and not _is_padding(file, start, stop):
+    if room and any(block.strip(PADDING) for block in read_blocks(file, start, stop)):
         more = f"{size} bytes behind them, room for {room} more of {record_size} bytes"
         raise MapFormatError(path, f"no points but the {counted} counted", more, f"byte {start}")
     return (f"The {size} bytes after the last point are left out.",)
 
 
-def _is_padding(file: BinaryIO, start: int, stop: int) -> bool:
+def read_blocks(file: BinaryIO, start: int, stop: int) -> Iterator[bytes]:
+    """Yield the bytes of a file from one to before another, as far as they are there."""
     file.seek(start)
     left = stop - start
     while left and (block := file.read(min(_BLOCK, left))):
-        if block.strip(PADDING):
-            return False
+        yield block
         left -= len(block)
-    return True

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import PointCountError
+from tiling.formats.checks import read_blocks
 from tiling.output_file import create_shared, sync, write_only
-
-_BLOCK = 1 << 20
 
 Spans = Sequence[tuple[int, int]]
 
@@ -56,6 +55,7 @@ class PartSummary:
         self.count = count
 
 
+@dataclass(slots=True)
 class Surroundings:
     """What stands before and after the points of an output.
 
@@ -63,29 +63,27 @@ class Surroundings:
     a byte to one before the end. That file must still be there when they are written.
     """
 
-    def __init__(
-        self, head: bytes, source: Path = Path(), before: Spans = (), after: Spans = ()
-    ) -> None:
-        self.head = head
-        self._source = source
-        self._before = before
-        self._after = after
+    head: bytes
+    source: Path = Path()
+    before: Spans = ()
+    after: Spans = ()
 
     @property
     def points_offset(self) -> int:
         """Byte of the first point."""
-        return len(self.head) + sum(end - start for start, end in self._before)
+        return len(self.head) + sum(end - start for start, end in self.before)
 
     def write_before(self, file: BinaryIO) -> None:
         """Write what is before the points."""
         file.write(self.head)
-        _copy_spans(self._source, file, self._before)
+        _copy_spans(self.source, file, self.before)
 
     def write_after(self, file: BinaryIO) -> None:
         """Write what is after the points, at the end of which the file stands."""
-        _copy_spans(self._source, file, self._after)
+        _copy_spans(self.source, file, self.after)
 
 
+@dataclass
 class PartWriter:
     """Writes a map of a known number of points in parts, in any order and from any process.
 
@@ -94,21 +92,18 @@ class PartWriter:
     be made on another that was made alike.
     """
 
-    def __init__(
-        self, path: Path, point_count: int, around: Surroundings, record_size: int
-    ) -> None:
-        self.path = path
-        self.point_count = point_count
-        self._around = around
-        self._record_size = record_size
+    path: Path
+    point_count: int
+    around: Surroundings
+    record_size: int
 
     def create(self) -> None:
         """Write all but the points, and give the file its full size."""
         with create_shared(self.path) as file:
-            self._around.write_before(file)
+            self.around.write_before(file)
             file.truncate(self._start_of(self.point_count))
             file.seek(0, SEEK_END)
-            self._around.write_after(file)
+            self.around.write_after(file)
 
     def open_part(self, first: int) -> "MapPart":
         """Open the file, which must have been created, to write points from a row on."""
@@ -151,7 +146,7 @@ class PartWriter:
         put_records(file, self._start_of(first), records)
 
     def _start_of(self, row: int) -> int:
-        return self._around.points_offset + row * self._record_size
+        return self.around.points_offset + row * self.record_size
 
     def _completed_header(self, parts: Sequence[PartSummary]) -> bytes | None:
         """Return how the file begins, where that takes knowledge of all points."""
@@ -229,10 +224,6 @@ def _copy_spans(source: Path, target: BinaryIO, spans: Spans) -> None:
         return
     with source.open("rb") as file:
         for start, end in spans:
-            file.seek(start)
-            left = end - start
-            while left:
-                block = file.read(min(_BLOCK, left))
-                if not block:
-                    raise OSError(f"{source}: cut short while it was read")
-                left -= target.write(block)
+            copied = sum(target.write(block) for block in read_blocks(file, start, end))
+            if copied < end - start:
+                raise OSError(f"{source}: cut short while it was read")

@@ -169,7 +169,7 @@ class LasSurroundings(Surroundings):
         if header.minor_version >= 4:
             first = position if self._evlr_count else 0
             struct.pack_into("<QI", block, At.FIRST_EVLR, first, self._evlr_count)
-        for start, end in self._after:
+        for start, end in self.after:
             if header.waveforms is not None and start == header.waveforms[0]:
                 struct.pack_into("<Q", block, At.WAVEFORMS, position)
             position += end - start

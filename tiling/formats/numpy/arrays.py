@@ -223,52 +223,45 @@ def _understood(text: bytes, version: int) -> tuple[tuple[int, ...], bool, np.dt
     return shape, fortran_order, dtype
 
 
+@dataclass(slots=True)
 class RowReader:
     """Reads the rows of an array from the first wanted on, some at a time.
 
     There is a stream for each of `header.column_count`; the same one many times where it can jump
-    about.
+    about. The row is the next one.
     """
 
-    def __init__(
-        self,
-        streams: Sequence[BinaryIO],
-        header: ArrayHeader,
-        path: Path,
-        name: str = "array",
-        first_row: int = 0,
-    ) -> None:
-        self._streams = streams
-        self._header = header
-        self._path = path
-        self._name = name
-        self._row = first_row
+    streams: Sequence[BinaryIO]
+    header: ArrayHeader
+    path: Path
+    name: str
+    row: int
 
     def read(self, count: int) -> NDArray[np.void]:
         """Read the next rows, (count,) of `header.row_bytes` bytes; refuse an end before."""
-        header = self._header
+        header = self.header
         columns = header.column_count
         if not header.row_bytes:
             return np.empty(count, dtype="V0")
         width = header.row_bytes // columns
         table = np.empty((count, columns), dtype=f"V{width}")
         for column in range(columns):
-            start = header.size + (column * header.row_count + self._row) * width
-            stream = self._streams[column]
+            start = header.size + (column * header.row_count + self.row) * width
+            stream = self.streams[column]
             stream.seek(start)
             content = stream.read(count * width)
             if len(content) != count * width:
-                expected = f"{header.data_bytes} bytes of {self._name} ({header})"
+                expected = f"{header.data_bytes} bytes of {self.name} ({header})"
                 found = f"the end at byte {start + len(content)}"
-                raise MapFormatError(self._path, expected, found, f"byte {start}")
+                raise MapFormatError(self.path, expected, found, f"byte {start}")
             table[:, column] = np.frombuffer(content, dtype=table.dtype)
-        self._row += count
+        self.row += count
         return table.view(f"V{header.row_bytes}").reshape(count)
 
     def finish(self) -> None:
         """Read on past the last row, upon which an archive compares its checksum."""
-        if self._streams:
-            self._streams[-1].read(1)
+        if self.streams:
+            self.streams[-1].read(1)
 
 
 def put_rows(

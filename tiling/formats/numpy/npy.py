@@ -74,9 +74,8 @@ class NpyReader(MapReader):
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
         with self._path.open("rb") as file:
-            reader = RowReader(
-                [file] * header.column_count, header, self._path, first_row=rows.start
-            )
+            streams = [file] * header.column_count
+            reader = RowReader(streams, header, self._path, "array", rows.start)
             for first in range(rows.start, rows.stop, max_points):
                 records = reader.read(min(max_points, rows.stop - first))
                 yield PointBatch(first, header.coordinates(records), records)

@@ -94,19 +94,14 @@ class NpzReader(MapReader):
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         with _archive(self._path) as archive, ExitStack() as streams:
-            readers = [
-                RowReader(
-                    [
-                        cast(BinaryIO, streams.enter_context(archive.open(f"{name}.npy")))
-                        for _ in range(header.column_count)
-                    ],
-                    header,
-                    self._path,
-                    f"array {name!r}",
-                    first_row=rows.start,
-                )
-                for name, header in self._columns
-            ]
+            readers = []
+            for name, header in self._columns:
+                opened = [
+                    cast(BinaryIO, streams.enter_context(archive.open(f"{name}.npy")))
+                    for _ in range(header.column_count)
+                ]
+                reader = RowReader(opened, header, self._path, f"array {name!r}", rows.start)
+                readers.append(reader)
             for first in range(rows.start, rows.stop, max_points):
                 records = np.empty(min(max_points, rows.stop - first), dtype=self._dtype)
                 arrays = {}
