@@ -300,8 +300,6 @@ def _refuse_several_maps(folder: Path, files: Sequence[Path]) -> None:
 
 def _natural_order(path: Path) -> tuple[list[list[tuple[str, int]]], str]:
     """Order by folder and name, digits by the number they make."""
-    parts = []
-    for part in path.parts:
-        pieces = re.findall(r"(\D*)(\d*)", part)
-        parts.append([(text.lower(), int(digits or -1)) for text, digits in pieces])
-    return parts, str(path)
+    parts = (re.findall(r"(\D*)(\d*)", part) for part in path.parts)
+    ordered = [[(text.lower(), int(digits or -1)) for text, digits in part] for part in parts]
+    return ordered, str(path)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.points import only_finite
-from tiling.occupancy import FARTHEST, Occupancy, columns_of, distinct_columns
+from tiling.survey import FARTHEST, Occupancy, columns_of, distinct_columns
 
 NO_TILE = -1
 """The tile of a point without finite coordinates, and of one that was not in the survey."""

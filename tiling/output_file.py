@@ -23,9 +23,6 @@ logger = logging.getLogger("dynahull")
 _CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.ENOTTY, errno.EBADF)
 """What file systems answer that cannot wait for a file, or for a folder: some of FUSE, SMB, FAT."""
 
-TEMPORARY = ".part"
-"""Suffix of a file that is being written; one that is left over belongs to a killed process."""
-
 _folder: ContextVar[Path | None] = ContextVar("output folder", default=None)
 
 
@@ -142,8 +139,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
     same file at the same time: the last one to finish stays.
     """
     check_place(path)
-    # Not longer than most names: there are names that leave no room for more.
-    temporary = path.with_name(f".{uuid4().hex}{TEMPORARY}")
+    # Not longer than most names: there are names that leave no room for more. One that is left over
+    # belongs to a killed process.
+    temporary = path.with_name(f".{uuid4().hex}.part")
     try:
         yield temporary
         sync_path(temporary)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError, PartsError, PointCountError
-from tiling.formats.parts import MapPart, PartWriter
+from tiling.formats.parts import MapPart, PartWriter, Surroundings
 from tiling.formats.points import (
     DEFAULT_BATCH,
     Field,
@@ -267,14 +267,26 @@ class MapReader(ABC):
         return self._part_writer(path, point_count)
 
 
-class TextWriter(MapWriter):
+class StreamWriter(MapWriter):
+    """Writes a new file from its beginning to its end, with what surrounds the points."""
+
+    _file: BinaryIO
+
+    def __init__(self, path: Path, point_count: int, around: Surroundings) -> None:
+        super().__init__(path, point_count)
+        self._around = around
+        self._file = create_file(path)
+        around.write_before(self._file)
+
+    def _finish(self) -> None:
+        self._around.write_after(self._file)
+        self._file.close()
+
+
+class TextWriter(StreamWriter):
     """Writes rows as they stood in the file they come from, after what stands before them there."""
 
-    def __init__(self, path: Path, point_count: int, head: bytes) -> None:
-        super().__init__(path, point_count)
-        self._file: BinaryIO = create_file(path)
-        self._file.write(head)
-        self._ended = True
+    _ended = True
 
     def _append(self, records: Any) -> None:
         text = records.tobytes()
@@ -283,6 +295,3 @@ class TextWriter(MapWriter):
         self._file.write(text)
         # The last row of a file may have no line ending.
         self._ended = text.endswith(b"\n")
-
-    def _finish(self) -> None:
-        self._file.close()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, TextWriter
 from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
+from tiling.formats.parts import Surroundings
 from tiling.formats.points import (
     COORDINATES,
     Field,
@@ -137,7 +138,7 @@ class TextReader(MapReader):
             raise MapFormatError(self._path, f"numbers in the field {name}", str(error)) from None
 
     def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
-        return TextWriter(path, point_count, self._head.for_points(point_count))
+        return TextWriter(path, point_count, Surroundings(self._head.for_points(point_count)))
 
     def _take_further(self) -> None:
         self._head = self._head.extended([field.name for field in self.further])

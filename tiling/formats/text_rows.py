@@ -198,13 +198,13 @@ def parse_rows(
         text, position, wanted, separator, layout.free, starts, stops, words, bounds
     )
     places = np.flatnonzero(wanted)
-    try:
-        numbers = _as_numbers(words, bounds[: numbers_wanted * rows + 1])
-    except _NotANumberError as error:
-        row, place = divmod(error.place, numbers_wanted)
+    numbers, wrong = _as_numbers(words, bounds[: numbers_wanted * rows + 1])
+    if wrong is not None:
+        row, place = divmod(wrong, numbers_wanted)
+        word = bytes(words[bounds[wrong] : bounds[wrong + 1]])[:40].decode("ascii", "replace")
         lines_before = np.count_nonzero(text[position : starts[row]] == _LINE_FEED)
         at = f"line {line + lines_before}, value {places[place] + 1}"
-        raise MapFormatError(path, "a number", repr(str(error)), at) from None
+        raise MapFormatError(path, "a number", repr(word), at)
     if column:
         at = f"line {line + lines}"
         raise MapFormatError(path, f"{layout.values} values in a row", str(column), at)
@@ -213,27 +213,19 @@ def parse_rows(
     return TextRows(text, starts[:rows], stops[:rows]), xyz, stop, lines
 
 
-class _NotANumberError(ValueError):
-    """A word is not a number; `place` counts the words before it."""
-
-    def __init__(self, word: bytes, place: int) -> None:
-        super().__init__(word[:40].decode("ascii", "replace"))
-        self.place = place
-
-
-def _as_numbers(text: Bytes, bounds: Positions) -> NDArray[np.float64]:
-    """Convert the words between successive bounds to float64."""
+def _as_numbers(text: Bytes, bounds: Positions) -> tuple[NDArray[np.float64], int | None]:
+    """Convert the words between successive bounds; or say which is the first that is no number."""
     buffers = len(bounds) - 1, py_buffer(bounds), py_buffer(text)
     try:
         numbers = LargeStringArray.from_buffers(*buffers).cast(float64())
-        return np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64)
+        return np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64), None
     except (ArrowInvalid, UnicodeDecodeError):
         words = [bytes(text[a:b]) for a, b in pairwise(bounds.tolist())]
     for place, word in enumerate(words):
         if not _NUMBER.fullmatch(word):
-            raise _NotANumberError(word, place)
+            return np.empty(0), place
     # Some versions of Arrow take fewer forms than C does.
-    return np.array([float(word.split(b"(")[0]) for word in words], dtype=np.float64)
+    return np.array([float(word.split(b"(")[0]) for word in words], dtype=np.float64), None
 
 
 @compiled

@@ -41,7 +41,7 @@ class ArrayHeader:
     shape: tuple[int, ...]
     """The first is the number of rows."""
     version: int = 1
-    """1, 2 or 3."""
+    """1, 2 or 3; 0 for values that have no header."""
     size: int = 0
     """Bytes of the header itself."""
 
@@ -138,6 +138,8 @@ class ArrayHeader:
 
     def encode(self, row_count: int) -> bytes:
         """Return the header of an array like this one, with `row_count` rows."""
+        if not self.version:
+            return b""
         description = {
             "descr": npy.dtype_to_descr(self.dtype),
             "fortran_order": self.fortran_order,

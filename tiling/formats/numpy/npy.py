@@ -4,7 +4,7 @@ Organised ones, (H, W, 3 or more) or (H, W), are read row by row.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
@@ -133,15 +133,6 @@ _NUSCENES = ".pcd.bin"
 _UNKNOWN = "a file that begins"
 
 
-@dataclass(frozen=True, slots=True)
-class _NoHeader(ArrayHeader):
-    """An array that starts with its first value."""
-
-    def encode(self, row_count: int) -> bytes:
-        del row_count
-        return b""
-
-
 class RawReader(NpyReader):
     """Reads bare records of float32, as KITTI and nuScenes store scans: the size tells the points.
 
@@ -161,7 +152,8 @@ class RawReader(NpyReader):
         if size % record:
             expected = f"records of {record} bytes, float32 {', '.join(names)}"
             raise MapFormatError(path, expected, f"{size} bytes, {size % record} too many")
-        self._header = _NoHeader(np.dtype("<f4"), False, (size // record, len(names)))
+        shape = size // record, len(names)
+        self._header = ArrayHeader(np.dtype("<f4"), False, shape, version=0)
         self.bytes_per_point = record
         self.description = MapDescription(
             path=path,

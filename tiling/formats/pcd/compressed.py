@@ -187,17 +187,20 @@ class ColumnSpool:
         self._point_count = point_count
         with _blaming_its_folder():
             # Unbuffered, so that a full disk is met where it is written to.
-            self._file = TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `close`
+            self._file = TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `__exit__`
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._file.close()
 
-    def append(self, data: NDArray[np.uint8]) -> None:
+    def append(self, data: bytes) -> None:
         """Write the next bytes of the columns, in the file's order."""
-        self._write(data.tobytes())
+        left = memoryview(data)
+        with _blaming_its_folder():
+            while left:
+                left = left[self._file.write(left) :]
 
     def blocks(self) -> Iterator[NDArray[np.uint8]]:
         """Yield the bytes of all columns, in the file's order."""
@@ -209,7 +212,7 @@ class ColumnSpool:
         """Put the records of consecutive points into their columns."""
         rows = records.view(np.uint8).reshape(len(records), -1)
         for part in self._columns(first_row):
-            self._write(rows[:, part].tobytes())
+            self.append(rows[:, part].tobytes())
 
     def read_points(self, first_row: int, count: int) -> NDArray[np.void]:
         """Gather the records of consecutive points from their columns."""
@@ -227,16 +230,6 @@ class ColumnSpool:
             self._file.seek(start * self._point_count + first_row * width)
             yield slice(start, start + width)
             start += width
-
-    def close(self) -> None:
-        """Remove the file."""
-        self._file.close()
-
-    def _write(self, data: bytes) -> None:
-        left = memoryview(data)
-        with _blaming_its_folder():
-            while left:
-                left = left[self._file.write(left) :]
 
 
 @contextmanager

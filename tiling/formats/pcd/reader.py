@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, TextWriter
+from tiling.formats.base import MapReader, MapWriter, StreamWriter, TextWriter
 from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
@@ -35,7 +35,6 @@ from tiling.formats.points import (
     only_rows,
 )
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
-from tiling.output_file import create_file
 
 _SIZES = struct.Struct("<II")
 """What precedes compressed data: their size, and that of the columns."""
@@ -87,10 +86,10 @@ class PcdReader(MapReader):
         return self._compressed_batches(max_points, rows)
 
     def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
-        head = self._header.for_points(point_count)
+        around = Surroundings(self._header.for_points(point_count))
         if self._header.encoding == "ascii":
-            return TextWriter(path, point_count, head)
-        return _CompressedWriter(path, point_count, head, self._widths)
+            return TextWriter(path, point_count, around)
+        return _CompressedWriter(path, point_count, around, self._widths)
 
     def _part_writer(self, path: Path, point_count: int) -> PartWriter:
         around = Surroundings(self._header.for_points(point_count))
@@ -195,7 +194,7 @@ class PcdReader(MapReader):
         with self._path.open("rb") as stream, ColumnSpool(self._widths, count) as spool:
             stream.seek(self._header.data_offset + _SIZES.size)
             for block in decompress(stream, self._packed_size, size, self._path):
-                spool.append(block)
+                spool.append(block.tobytes())
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
                 yield self.batch_of(first_row, records)
@@ -240,13 +239,13 @@ class PcdReader(MapReader):
         return PointBatch(first_row, xyz, records)
 
 
-class _CompressedWriter(MapWriter):
+class _CompressedWriter(StreamWriter):
     """Collects columns of some widths in a temporary file, and compresses them in the end."""
 
-    def __init__(self, path: Path, point_count: int, head: bytes, widths: tuple[int, ...]) -> None:
-        super().__init__(path, point_count)
-        self._file: BinaryIO = create_file(path)
-        self._file.write(head)
+    def __init__(
+        self, path: Path, point_count: int, around: Surroundings, widths: tuple[int, ...]
+    ) -> None:
+        super().__init__(path, point_count, around)
         self._column_size = point_count * sum(widths)
         self._spool = ColumnSpool(widths, point_count)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter
+from tiling.formats.base import MapReader, MapWriter, StreamWriter
 from tiling.formats.checks import check_leftover
 from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.ply.header import VERTEX, PlyProperty, read_header
@@ -22,7 +22,6 @@ from tiling.formats.points import (
     only_rows,
 )
 from tiling.formats.text_rows import TextRows
-from tiling.output_file import create_file
 
 
 class PlyReader(MapReader):
@@ -176,22 +175,12 @@ class PlyReader(MapReader):
         return spans
 
 
-class _PlyWriter(MapWriter):
+class _PlyWriter(StreamWriter):
     """Writes vertices that are text, or have lists, and copies the other elements."""
-
-    def __init__(self, path: Path, point_count: int, around: Surroundings) -> None:
-        super().__init__(path, point_count)
-        self._around = around
-        self._file: BinaryIO = create_file(path)
-        around.write_before(self._file)
 
     def _append(self, records: Any) -> None:
         is_text = isinstance(records, TextRows)
         self._file.write(records.tobytes() if is_text else b"".join(records))
-
-    def _finish(self) -> None:
-        self._around.write_after(self._file)
-        self._file.close()
 
 
 def _field(each: PlyProperty) -> Field:
