@@ -41,13 +41,8 @@ class _Layout:
     """Rows of the largest row group; 0 where there are none."""
     bytes_per_row: int
     """Bytes that a row takes in memory, on average; a text that is stored once counts once."""
-    has_int96: bool
-    """Whether there are time stamps in the form of 96 bits that Spark and Impala used to write."""
-    has_arrow_schema: bool
-    """Whether Arrow's own schema is kept beside that of Parquet."""
-    has_compliant_lists: bool
-    """Whether what is in a list is called `element`, as the format demands and as older writers,
-    which said `item`, did not."""
+    options: dict[str, bool]
+    """Of `pyarrow.parquet.ParquetWriter`."""
 
     @classmethod
     def of(cls, file: pq.ParquetFile, path: Path) -> "_Layout":
@@ -74,9 +69,13 @@ class _Layout:
             bytes_per_row=max(
                 stored // max(metadata.num_rows, 1), _VALUE_BYTES * values // max([1, *rows[:1]])
             ),
-            has_int96=any(column.physical_type == "INT96" for column in columns),
-            has_arrow_schema=_ARROW_SCHEMA in (metadata.metadata or {}),
-            has_compliant_lists=not any(".list.item" in column.path for column in columns),
+            options={
+                # Time stamps in the form of 96 bits that Spark and Impala used to write.
+                "use_deprecated_int96_timestamps": any(c.physical_type == "INT96" for c in columns),
+                "store_schema": _ARROW_SCHEMA in (metadata.metadata or {}),
+                # What is in a list is called `element`; older writers said `item`.
+                "use_compliant_nested_type": not any(".list.item" in c.path for c in columns),
+            },
         )
 
 
@@ -101,12 +100,12 @@ class ParquetReader(MapReader):
             check_pages(path, self._chunks[0] if self._chunks else [])
             self._layout = _Layout.of(file, path)
             version, point_count = file.metadata.format_version, file.metadata.num_rows
-        points = find_points(self._schema, stored.get(_GEO), path)
-        if points is None:
+        take_points = find_points(self._schema, stored.get(_GEO), path)
+        if take_points is None:
             found = ", ".join(self._schema.names[:12]) or "none"
             found = f"{point_count} rows of {len(self._schema)} columns: {found}"
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
-        self._points = points
+        self._take_points = take_points
         self.bytes_per_point = self._layout.bytes_per_row
         # A range is read by row groups.
         self.seekable = self._layout.group_rows <= _LONGEST_ROW_GROUP
@@ -143,7 +142,7 @@ class ParquetReader(MapReader):
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
             table = pa.Table.from_batches([batch])
-            yield PointBatch(row, self._points.take(table), table)
+            yield PointBatch(row, self._take_points(table), table)
             row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"
@@ -201,9 +200,7 @@ class _ParquetWriter(MapWriter):
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
             compression=codecs or "snappy",
-            use_deprecated_int96_timestamps=layout.has_int96,
-            store_schema=layout.has_arrow_schema,
-            use_compliant_nested_type=layout.has_compliant_lists,
+            **layout.options,
         )
 
     def _append(self, records: Any) -> None:

@@ -63,15 +63,10 @@ class VariableLengthRecord:
     record_id: int
     """Who registered it, and what it is."""
     start: int
-    size: int
-    """Bytes of the whole record, its header included."""
+    end: int
+    """Bytes of the file: those of the whole record, its header included."""
     data: bytes
     """The record's own data; of an EVLR, only where it is of the coordinate reference system."""
-
-    @property
-    def end(self) -> int:
-        """Byte after the record."""
-        return self.start + self.size
 
     def names(self, user_id: str, record_id: int) -> bool:
         """Tell whether this is the record registered under these names."""
@@ -125,16 +120,6 @@ class LasHeader:
     def public_size(self) -> int:
         """Bytes of the public header block."""
         return int(struct.unpack_from("<H", self.block, At.HEADER_SIZE)[0])
-
-    @property
-    def global_encoding(self) -> int:
-        """Bit field of the header."""
-        return int(struct.unpack_from("<H", self.block, At.GLOBAL_ENCODING)[0])
-
-    @property
-    def has_waveforms(self) -> bool:
-        """Whether each point has a waveform packet."""
-        return self.point_format in (4, 5, 9, 10)
 
 
 def read_header(path: Path) -> LasHeader:
@@ -274,14 +259,14 @@ class _HeaderReader:
         while len(records) < count and points_offset <= start <= self._size - _EVLR_HEADER:
             self._file.seek(start)
             head = self._file.read(_EVLR_HEADER)
-            size = _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
-            if start + size > self._size:
+            end = start + _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
+            if end > self._size:
                 break
-            record = _record(head, start, size, b"")
-            if record.user_id == CRS_USER_ID and size <= _LARGEST_CRS:
-                record = replace(record, data=self._file.read(size - _EVLR_HEADER))
+            record = _record(head, start, end, b"")
+            if record.user_id == CRS_USER_ID and end - start <= _LARGEST_CRS:
+                record = replace(record, data=self._file.read(end - start - _EVLR_HEADER))
             records.append(record)
-            start += size
+            start = end
         return count, tuple(records), start
 
     def _waveforms(self, points_offset: int) -> tuple[int, int] | None:
@@ -302,15 +287,15 @@ def read_vlrs(block: bytes | bytearray) -> tuple[VariableLengthRecord, ...]:
     (count,) = struct.unpack_from("<I", block, At.VLR_COUNT)
     records: list[VariableLengthRecord] = []
     while len(records) < count and start + _VLR_HEADER <= len(block):
-        size = _VLR_HEADER + struct.unpack_from("<H", block, start + 20)[0]
-        if start + size > len(block):
+        end = start + _VLR_HEADER + struct.unpack_from("<H", block, start + 20)[0]
+        if end > len(block):
             break
-        data = bytes(block[start + _VLR_HEADER : start + size])
-        records.append(_record(block[start : start + _VLR_HEADER], start, size, data))
-        start += size
+        data = bytes(block[start + _VLR_HEADER : end])
+        records.append(_record(block[start : start + _VLR_HEADER], start, end, data))
+        start = end
     return tuple(records)
 
 
-def _record(head: bytes | bytearray, start: int, size: int, data: bytes) -> VariableLengthRecord:
+def _record(head: bytes | bytearray, start: int, end: int, data: bytes) -> VariableLengthRecord:
     user_id = bytes(head[2:18]).split(b"\0")[0].decode("latin-1")
-    return VariableLengthRecord(user_id, struct.unpack_from("<H", head, 18)[0], start, size, data)
+    return VariableLengthRecord(user_id, struct.unpack_from("<H", head, 18)[0], start, end, data)

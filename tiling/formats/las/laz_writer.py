@@ -8,12 +8,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.base import MapWriter
+from tiling.formats.base import StreamWriter
 from tiling.formats.las.compression import Compression, own_compression
 from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
 from tiling.formats.las.surroundings import LasSummary, LasSurroundings
-from tiling.output_file import create_file
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
@@ -25,7 +24,7 @@ _LAYERED_WAVE_PACKETS = (9, 10)
 """Point formats whose wave packets lazrs gets wrong in chunks of several scanner channels."""
 
 
-class LazWriter(MapWriter):
+class LazWriter(StreamWriter):
     """Writes raw point records, compressed, under the header of the file they come from.
 
     That file must still be there, and its points are compressed in the same way. The threads, see
@@ -40,14 +39,12 @@ class LazWriter(MapWriter):
         compression: Compression,
         threads: int,
     ) -> None:
-        super().__init__(path, point_count)
-        self._summary = LasSummary.of(header)
         data = _followed_compression(header, compression)
-        self._surroundings = LasSurroundings(header, data)
-        vlr = lazrs.LazVlr(compression.data if data is None else data)
-        self._file: BinaryIO = create_file(path)
+        self._las = LasSurroundings(header, data)
+        self._summary = LasSummary.of(header)
+        super().__init__(path, point_count, self._las)
         try:
-            self._surroundings.write_before(self._file)
+            vlr = lazrs.LazVlr(compression.data if data is None else data)
             self._points = _chunks(self._file, vlr, point_count, threads)
         except BaseException:
             self._file.close()
@@ -68,9 +65,9 @@ class LazWriter(MapWriter):
             except lazrs.LazrsError as error:
                 raise OSError(f"{self.path}: {error}") from error
             points_end = self._file.seek(0, io.SEEK_END)
-            self._surroundings.write_after(self._file)
+            self._las.write_after(self._file)
             self._file.seek(0)
-            self._file.write(self._surroundings.completed(points_end, self._summary))
+            self._file.write(self._las.completed(points_end, self._summary))
 
 
 def _followed_compression(header: LasHeader, compression: Compression) -> bytes | None:

@@ -45,6 +45,7 @@ from tiling.formats.parts import PartWriter
 from tiling.formats.points import MapDescription, PointBatch, bytes_of, packed
 from tiling.grid import Grid, integers_in_records
 
+_WITH_WAVEFORMS = (4, 5, 9, 10)
 _SHORT_CLASS = np.uint8(LAST_SHORT_CLASS)
 
 
@@ -210,8 +211,9 @@ def _notes(header: LasHeader) -> Iterator[str]:
             f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info "
             "VLR and hierarchy EVLR) is left out, since it describes where other points lie."
         )
-    if header.has_waveforms:
-        if header.global_encoding & WAVEFORMS_EXTERNAL:
+    if header.point_format in _WITH_WAVEFORMS:
+        (encoding,) = struct.unpack_from("<H", header.block, At.GLOBAL_ENCODING)
+        if encoding & WAVEFORMS_EXTERNAL:
             yield (
                 "The waveform packets are in a .wdp file beside the input, which is not copied: "
                 "the points keep their places in it."

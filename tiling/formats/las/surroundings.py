@@ -180,9 +180,10 @@ class LasSurroundings(Surroundings):
 class LasPartWriter(PartWriter):
     """Writes raw, uncompressed point records under the header of the file they come from."""
 
+    around: LasSurroundings
+
     def __init__(self, path: Path, point_count: int, header: LasHeader) -> None:
-        self._las = LasSurroundings(header)
-        super().__init__(path, point_count, self._las, header.record_length)
+        super().__init__(path, point_count, LasSurroundings(header), header.record_length)
         self._header = header
 
     def new_summary(self, first: int) -> LasSummary:
@@ -193,4 +194,4 @@ class LasPartWriter(PartWriter):
         whole = self.new_summary(0)
         for part in parts:
             whole.merge(cast(LasSummary, part))
-        return self._las.completed(self._start_of(self.point_count), whole)
+        return self.around.completed(self._start_of(self.point_count), whole)

@@ -103,8 +103,7 @@ class ArrayHeader:
     def has_float_coordinates(self) -> bool:
         """Whether coordinates can be any numbers."""
         names = coordinate_names(self.dtype.names or ())
-        kinds = [self.dtype[name] for name in names] if names else [self.dtype]
-        return all(kind.kind == "f" for kind in kinds)
+        return all(self.dtype[n].kind == "f" for n in names) if names else self.dtype.kind == "f"
 
     @property
     def is_column(self) -> bool:

@@ -42,13 +42,12 @@ _COUNT_LINE = re.compile(rb"^(\s*(WIDTH|HEIGHT|POINTS)\s+)\d+")
 
 @dataclass(frozen=True, slots=True)
 class PcdField:
-    """One field: `count` values of `size` bytes, the first at byte `offset` of a point's record."""
+    """One field: `count` values of `size` bytes."""
 
     name: str
     dtype: str
     size: int
     count: int
-    offset: int
 
     @property
     def width(self) -> int:
@@ -114,11 +113,9 @@ class PcdHeader:
 
     def extended(self, further: Sequence[Field]) -> "PcdHeader":
         """Return the header of points with further fields of one value each."""
-        fields, offset = list(self.fields), self.record_size
-        for each in further:
-            size = np.dtype(each.dtype).itemsize
-            fields.append(PcdField(each.name, each.dtype, size, 1, offset))
-            offset += size
+        sizes = [np.dtype(each.dtype).itemsize for each in further]
+        added = zip(further, sizes, strict=True)
+        fields = [*self.fields, *(PcdField(each.name, each.dtype, n, 1) for each, n in added)]
         kinds = {dtype: kind for (kind, _), dtype in _TYPES.items()}
         rows = [(f.name, f"{f.size}", kinds[f.dtype], f"{f.count}") for f in fields]
         # Old files lack some of these lines; with fields of other types they need them.
@@ -223,7 +220,7 @@ def _fields(said: _Said) -> tuple[PcdField, ...]:
             raise said.wrong(expected, f"{found}", keyword)
     sizes, counts = said.numbers("SIZE", [4] * len(names)), said.numbers("COUNT", [1] * len(names))
     types = said.values.get("TYPE", ["F"] * len(names))
-    fields, offset = [], 0
+    fields = []
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
         if (kind.upper(), size) not in _TYPES:
             expected = "TYPE I or U of SIZE 1, 2, 4 or 8, or F of 4 or 8"
@@ -231,11 +228,10 @@ def _fields(said: _Said) -> tuple[PcdField, ...]:
             raise said.wrong(expected, f"{_shortened(kind)} of {size}", keyword)
         if count == 0:
             raise said.wrong("a COUNT of 1 or more", "0", "COUNT")
-        fields.append(PcdField(name, _TYPES[kind.upper(), size], size, count, offset))
-        offset += size * count
-    if offset > LARGEST_RECORD:
+        fields.append(PcdField(name, _TYPES[kind.upper(), size], size, count))
+    if (size := sum(field.width for field in fields)) > LARGEST_RECORD:
         expected = f"points of at most {LARGEST_RECORD} bytes"
-        raise MapFormatError(said.path, expected, f"{offset} bytes")
+        raise MapFormatError(said.path, expected, f"{size} bytes")
     return tuple(fields)
 
 

@@ -218,7 +218,7 @@ class PcdReader(MapReader):
 
     def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
         """Return the first value of a field of binary records."""
-        offset = sum(other.width for other in self._stored if other.offset < field.offset)
+        offset = sum(self._widths[: self._stored.index(field)])
         kind = np.dtype(field.dtype).newbyteorder("<")
         return np.asarray(records.getfield(kind, offset))
 
