@@ -55,13 +55,11 @@ class ChunkStore:
 
     folder: Path
     layout: Layout
-    """The tiles."""
     halo: float
     """Width of the halo around each core, metres."""
     point_count: int
     """Points of the map, finite or not."""
     format: ChunkFormat = "parquet"
-    """Of the chunks."""
     grid: Grid | None = None
     """Of the coordinates; needed for LAS, see `tiling.chunks.grid_of`."""
     max_points: int = 1

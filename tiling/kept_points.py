@@ -41,7 +41,6 @@ class KeptPoints:
 
     path: Path
     collection: MapCollection
-    """The map."""
 
     @cached_property
     def has_records(self) -> bool:

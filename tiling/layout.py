@@ -34,7 +34,6 @@ class Tile:
     """One tile."""
 
     index: int
-    """Its number in the layout."""
     low: Corners
     high: Corners
     """(2,), the core: low <= x, y < high, metres; infinite at the edge of the lattice."""

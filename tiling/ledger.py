@@ -21,7 +21,6 @@ class Written:
     """Bytes that were written."""
 
     path: Path
-    """The file."""
     start: int | None
     """First byte; None where they are the whole file."""
     size: int

@@ -40,7 +40,6 @@ class MapWriter(ABC):
     """
 
     _file: BinaryIO | MapPart
-    """What is open."""
 
     def __init__(self, path: Path, point_count: int) -> None:
         self.path = path
@@ -119,6 +118,8 @@ class MapReader(ABC):
     is read and written does not depend on it."""
     bytes_per_point: int = 0
     """Bytes of a record, or of the shortest, as far as that is known before it is read."""
+    record_dtype: np.dtype[Any] | None = None
+    """The type of a row of `PointBatch.records` that `batch_of` takes; None where it takes none."""
     seekable: bool
     """Whether some of the rows can be read without all rows before them."""
     sets_values: bool = False
@@ -128,7 +129,6 @@ class MapReader(ABC):
     further: tuple[Field, ...] = ()
     """Fields that `extend` puts behind those of the file."""
     _byte_order: str = "<"
-    """Of binary records."""
 
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
@@ -159,11 +159,6 @@ class MapReader(ABC):
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield the points of a range of rows that the file has."""
 
-    @property
-    def record_dtype(self) -> np.dtype[Any] | None:
-        """The type of a row of `PointBatch.records`, where they are an array; None elsewhere."""
-        return None
-
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make the batch again that had these records, an array of `record_dtype`."""
         raise NotImplementedError(f"{self.description.format}: records of no fixed size")
@@ -176,8 +171,7 @@ class MapReader(ABC):
         MapFormatError
             When the fields of this map cannot be read apart.
         """
-        said = self.description
-        raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
+        raise self._refused("a map whose fields can be read apart")
 
     def with_values(self, records: Any, values: Mapping[str, NDArray[Any]]) -> Any:
         """Return records of this reader with other values, (n,), by names that `values` takes."""
@@ -195,8 +189,7 @@ class MapReader(ABC):
         MapFormatError
             When maps of this format have more to agree on than their fields.
         """
-        said = self.description
-        raise MapFormatError(said.path, "PCD in binary, npy or KITTI's, to be merged", said.format)
+        raise self._refused("PCD in binary, npy or KITTI's, to be merged")
 
     def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
         """Return the records of points with other coordinates, (n, 3); see `merged`."""
@@ -237,6 +230,9 @@ class MapReader(ABC):
         model.further = tuple(fields)
         model._take_further()
         return model
+
+    def _refused(self, expected: str) -> MapFormatError:
+        return MapFormatError(self.description.path, expected, self.description.format)
 
     @abstractmethod
     def _take_further(self) -> None:

@@ -31,7 +31,6 @@ class PartSummary:
     first: int
     """Row number, in the output, of its first point."""
     count: int = 0
-    """Points in it."""
 
     def add(self, records: Any) -> None:
         """Take at least one more point into account."""

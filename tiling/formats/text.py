@@ -51,7 +51,6 @@ class TextHead:
     names: tuple[str, ...]
     """One for each value; those of coordinates are x, y and z where the file has no names."""
     layout: RowLayout
-    """Of the rows."""
 
     @property
     def size(self) -> int:

@@ -90,7 +90,6 @@ class RowLayout:
     """What a row of text holds."""
 
     values: int
-    """Values in a row."""
     coordinates: tuple[int, ...]
     """Which of them, from 0, are x, y and z."""
     separator: bytes = b""

@@ -65,7 +65,6 @@ class _Scan:
 
     number: int
     count: int
-    """Points."""
     fields: tuple[_ScanField, ...]
     rotation: tuple[tuple[float, float, float], ...] | None
     translation: tuple[float, float, float] | None
@@ -197,8 +196,9 @@ class E57Reader(MapReader):
 
     def _take_further(self) -> NoReturn:
         # E57 has no fields of these names that others would read.
-        expected = "a format that takes further fields; --labels writes them beside the map"
-        raise MapFormatError(self._path, expected, self.description.format)
+        raise self._refused(
+            "a format that takes further fields; --labels writes them beside the map"
+        )
 
 
 class _E57Writer(MapWriter):

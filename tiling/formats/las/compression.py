@@ -42,13 +42,11 @@ class Compression:
     """How the points of a LAZ file are compressed: the laszip VLR, checked."""
 
     data: bytes
-    """The VLR's data."""
     compressor: int
     """1 for points in one stretch, 2 for chunks of points, 3 for chunks of layers."""
     chunk_size: int
     """Points in a chunk; `0xFFFFFFFF` where each has its own number."""
     item_versions: tuple[int, ...]
-    """LASzip's version of each item of a point."""
     layers: int
     """Separately compressed layers in a chunk of layers."""
 

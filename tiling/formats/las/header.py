@@ -78,9 +78,7 @@ class LasHeader:
     """What precedes the points, as bytes, and what it says."""
 
     path: Path
-    """The file."""
     file_size: int
-    """Its bytes."""
     block: bytes
     """Everything before the points: header, VLRs, and whatever else is there."""
     minor_version: int
@@ -88,14 +86,11 @@ class LasHeader:
     point_format: int
     """0 to 10."""
     compressed: bool
-    """Whether the points are LAZ."""
     record_length: int
     """Bytes of a point, extra bytes included."""
     point_count: int
-    """Points in the file."""
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
-    """Of x, y and z."""
     vlrs: tuple[VariableLengthRecord, ...]
     evlrs: tuple[VariableLengthRecord, ...]
     """Before and after the points."""

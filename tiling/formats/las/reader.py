@@ -57,6 +57,7 @@ class LasReader(MapReader):
     def __init__(self, path: Path) -> None:
         self._header = read_header(path)
         self.bytes_per_point = self._header.record_length
+        self.record_dtype = np.dtype((np.uint8, self._header.record_length))
         self._compression: Compression | None = None
         self.seekable = self.writes_parts = not self._header.compressed
         if self._header.compressed:
@@ -77,11 +78,6 @@ class LasReader(MapReader):
                 records = np.empty((count, header.record_length), dtype=np.uint8)
                 source.read_into(records)
                 yield self.batch_of(first, records)
-
-    @property
-    def record_dtype(self) -> np.dtype[Any]:
-        """Bytes; see `MapReader.record_dtype`."""
-        return np.dtype((np.uint8, self._header.record_length))
 
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make a batch of raw records; see `MapReader.batch_of`."""

@@ -167,4 +167,4 @@ class RawReader(NpyReader):
     def _take_further(self) -> NoReturn:
         # Without a header nobody would find further fields.
         expected = "a format with names for further fields; --labels writes them beside the map"
-        raise MapFormatError(self._path, expected, self.description.format)
+        raise self._refused(expected)

@@ -63,7 +63,6 @@ class PcdHeader:
     """The header as it stands in the file, each line with its ending."""
     fields: tuple[PcdField, ...]
     coordinates: tuple[PcdField, PcdField, PcdField]
-    """x, y and z."""
     width: int
     height: int
     """Points in a row, and rows; a height above 1 makes the cloud an organised one."""

@@ -65,6 +65,8 @@ class PcdReader(MapReader):
         # Compressed points are columns.
         self.seekable = self.writes_parts = self._header.encoding == "binary"
         self.sets_values = self._header.encoding != "ascii"
+        if self.sets_values:
+            self.record_dtype = np.dtype(f"V{sum(self._widths)}")
         self.description = MapDescription(
             path=self._path,
             format=f"PCD {self._header.encoding}",
@@ -221,13 +223,6 @@ class PcdReader(MapReader):
         offset = sum(self._widths[: self._stored.index(field)])
         kind = np.dtype(field.dtype).newbyteorder("<")
         return np.asarray(records.getfield(kind, offset))
-
-    @property
-    def record_dtype(self) -> np.dtype[Any] | None:
-        """Bytes, but of an ASCII file; see `MapReader.record_dtype`."""
-        if self._header.encoding == "ascii":
-            return None
-        return np.dtype(f"V{sum(self._widths)}")
 
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make a batch of binary records; see `MapReader.batch_of`."""

@@ -100,9 +100,7 @@ class PlyHeader:
     owners: tuple[str | None, ...]
     """For each line, the element it declares or belongs to; None for format and remarks."""
     elements: tuple[PlyElement, ...]
-    """In the order of the file."""
     size: int
-    """Bytes of the header."""
 
     @property
     def byte_order(self) -> str:
