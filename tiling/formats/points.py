@@ -139,6 +139,14 @@ def checked_rows(name: str, rows: range | None, point_count: int) -> range:
     return rows
 
 
+def numbered(parts: Iterable[tuple[Any, NDArray[np.float64]]]) -> Iterator[PointBatch]:
+    """Yield batches of a file's points, which come as records and their coordinates."""
+    first_row = 0
+    for records, xyz in parts:
+        yield PointBatch(first_row, xyz, records)
+        first_row += len(xyz)
+
+
 def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch]:
     """Take a range of rows out of consecutive batches, and ask for none after its end."""
     for batch in batches:

@@ -26,6 +26,7 @@ from tiling.formats.points import (
     PointBatch,
     coordinate_names,
     longer_rows,
+    numbered,
     only_rows,
 )
 from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, read_rows
@@ -118,14 +119,9 @@ class TextReader(MapReader):
         self.bytes_per_point = state.st_size // max(self._count, 1)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        return only_rows(self._all_batches(max_points), rows)
-
-    def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
-        first_row = 0
         with self._path.open("rb") as stream:
-            for rows, xyz in _rows(stream, self._head, self._path, self._count, max_points):
-                yield PointBatch(first_row, xyz, rows)
-                first_row += len(rows)
+            parts = _rows(stream, self._head, self._path, self._count, max_points)
+            yield from only_rows(numbered(parts), rows)
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one value of some rows as a number; see `MapReader.values`."""

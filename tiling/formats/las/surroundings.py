@@ -149,11 +149,10 @@ class LasSurroundings(Surroundings):
             record = next(r for r in header.vlrs if is_laszip_record(r))
             start = record.end - len(record.data)
             block[start : start + len(laszip)] = laszip
-        kept = [record for record in header.vlrs if not is_copc_index(record)]
-        if len(kept) < len(header.vlrs):
-            for record in reversed([r for r in header.vlrs if is_copc_index(r)]):
-                del block[record.start : record.end]
-            struct.pack_into("<I", block, At.VLR_COUNT, len(kept))
+        dropped = [record for record in header.vlrs if is_copc_index(record)]
+        for record in reversed(dropped):
+            del block[record.start : record.end]
+        struct.pack_into("<I", block, At.VLR_COUNT, len(header.vlrs) - len(dropped))
         struct.pack_into("<I", block, At.POINTS_OFFSET, len(block))
         evlrs = [(r.start, r.end) for r in header.evlrs if not is_copc_index(r)]
         self._evlr_count = len(evlrs)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.parts import put_records
-from tiling.formats.points import Field, coordinate_names
+from tiling.formats.points import COORDINATES, Field, coordinate_names
 
 _ALIGNMENT = 64
 _LONGEST_HEADER = 10_000
@@ -113,14 +113,15 @@ class ArrayHeader:
     def __str__(self) -> str:
         return f"{self.dtype} of shape {self.shape}"
 
-    def fields(self, name: str) -> tuple[Field, ...]:
-        """Describe the array, called `name`, as fields of a point."""
-        if not self.dtype.names:
+    def fields(self, name: str | None = None) -> tuple[Field, ...]:
+        """Describe the array, called `name`, as fields of a point; that of points has no name."""
+        if self.dtype.names:
+            kinds = [(each, self.dtype[each]) for each in self.dtype.names]
+            return tuple(Field(each, kind.base.name, prod(kind.shape)) for each, kind in kinds)
+        if name is not None:
             return (Field(name, self.dtype.name, self.row_elements),)
-        return tuple(
-            Field(each, self.dtype[each].base.name, prod(self.dtype[each].shape))
-            for each in self.dtype.names
-        )
+        names = [*COORDINATES, *(f"column {n}" for n in range(4, self.row_elements + 1))]
+        return tuple(Field(each, self.dtype.name) for each in names)
 
     def extended(self, fields: Sequence[Field]) -> "ArrayHeader | None":
         """Return the header of rows with further fields, None where they have no place.

@@ -22,7 +22,7 @@ from tiling.formats.numpy.arrays import (
     read_array_header,
 )
 from tiling.formats.parts import PartWriter, Surroundings
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch
+from tiling.formats.points import Field, MapDescription, PointBatch
 
 
 class NpyReader(MapReader):
@@ -67,7 +67,7 @@ class NpyReader(MapReader):
             format=f"NumPy npy {header.version}.0, {order}",
             suffix=".npy",
             point_count=header.row_count,
-            fields=array_fields(header),
+            fields=header.fields(),
             notes=notes,
         )
 
@@ -118,14 +118,6 @@ class _NpyParts(PartWriter):
 
     def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
         put_rows(file, self._header, self.point_count, first, records)
-
-
-def array_fields(header: ArrayHeader) -> tuple[Field, ...]:
-    """Describe the fields of an array of points, whose columns have no names of their own."""
-    if header.dtype.names:
-        return header.fields("")
-    names = [*COORDINATES, *(f"column {n}" for n in range(4, header.row_elements + 1))]
-    return tuple(Field(name, header.dtype.name) for name in names)
 
 
 _NAMES = ("x", "y", "z", "intensity", "ring")

@@ -23,7 +23,6 @@ from tiling.formats.numpy.arrays import (
     put_rows,
     read_array_header,
 )
-from tiling.formats.numpy.npy import array_fields
 from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, joined, packed
 from tiling.output_file import create_file
 
@@ -113,7 +112,7 @@ class NpzReader(MapReader):
                     reader.finish()
 
     def _fields_of(self, name: str, header: ArrayHeader) -> tuple[Field, ...]:
-        return array_fields(header) if [name] == self._coordinates else header.fields(name)
+        return header.fields(None if [name] == self._coordinates else name)
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one field, or column, or array of one value a row; see `MapReader.values`."""

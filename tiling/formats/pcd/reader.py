@@ -32,6 +32,7 @@ from tiling.formats.points import (
     Field,
     MapDescription,
     PointBatch,
+    numbered,
     only_rows,
 )
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
@@ -166,15 +167,12 @@ class PcdReader(MapReader):
         header = self._header
         x, y, z = (header.first_value(field) for field in header.coordinates)
         layout = RowLayout(header.value_count, (x, y, z))
-        first_row = 0
+        count, first_line = header.point_count, len(header.lines) + 1
         with self._path.open("rb") as stream:
             stream.seek(header.data_offset)
-            first_line = len(header.lines) + 1
-            for rows, xyz in read_rows(
-                stream, layout, header.point_count, max_points, self._path, first_line
-            ):
-                yield PointBatch(first_row, xyz, rows)
-                first_row += len(rows)
+            yield from numbered(
+                read_rows(stream, layout, count, max_points, self._path, first_line)
+            )
 
     def _binary_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
