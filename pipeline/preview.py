@@ -21,11 +21,10 @@ from pipeline.progress import StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
 from pipeline.units import open_collection
-from tiling.atomic import atomic_file
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.points import PointBatch
-from tiling.occupancy import Occupancy
-from tiling.output_file import writing_only_into
+from tiling.output_file import atomic_file, writing_only_into
+from tiling.survey import Occupancy
 
 SMALLEST_SIDE = 4.0
 """Metres: a window that is chosen is no narrower, and thinned where it holds too many points."""

@@ -10,8 +10,8 @@ from typing import Any
 
 from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError, OutputError, PipelineError
-from tiling.atomic import atomic_file
 from tiling.foreign_text import escaped
+from tiling.output_file import atomic_file
 
 printable = escaped
 """Names of files, and what they hold, as text that any terminal and page can show."""

@@ -13,14 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 from tiling.errors import ChunkError, GridError
-from tiling.formats.parquet_tables import open_parquet
-from tiling.formats.points import only_finite
+from tiling.formats.parquet_tables import open_parquet, xyz_of
+from tiling.formats.points import COORDINATES, only_finite
 from tiling.grid import Grid
 from tiling.layout import Layout
-from tiling.output_file import create_file
+from tiling.output_file import atomic_file, create_file
 from tiling.survey import Survey
 
 ChunkFormat = Literal["parquet", "las", "laz"]
@@ -56,13 +55,11 @@ class ChunkStore:
 
     folder: Path
     layout: Layout
-    """The tiles."""
     halo: float
     """Width of the halo around each core, metres."""
     point_count: int
     """Points of the map, finite or not."""
     format: ChunkFormat = "parquet"
-    """Of the chunks."""
     grid: Grid | None = None
     """Of the coordinates; needed for LAS, see `tiling.chunks.grid_of`."""
     max_points: int = 1
@@ -79,20 +76,16 @@ class ChunkStore:
     def save(self) -> None:
         """Make the folder, and write what `open` reads."""
         self.make()
+        stored = {
+            "halo": self.halo,
+            "point_count": self.point_count,
+            "format": self.format,
+            "grid": self.grid and [self.grid.scales, self.grid.offsets],
+            "max_points": self.max_points,
+            "layout": self.layout.to_json(),
+        }
         with atomic_file(self.folder / _STORE_FILE) as temporary:
-            temporary.write_text(
-                json.dumps(
-                    {
-                        "halo": self.halo,
-                        "point_count": self.point_count,
-                        "format": self.format,
-                        "grid": self.grid and [self.grid.scales, self.grid.offsets],
-                        "max_points": self.max_points,
-                        "layout": self.layout.to_json(),
-                    }
-                ),
-                encoding="utf-8",
-            )
+            temporary.write_text(json.dumps(stored), encoding="utf-8")
 
     @classmethod
     def open(cls, folder: Path) -> "ChunkStore":
@@ -102,16 +95,8 @@ class ChunkStore:
             stored = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError):
             raise ChunkError(path, "a folder of chunks", "no description of one") from None
-        grid = stored["grid"]
-        return cls(
-            folder,
-            Layout.from_json(stored["layout"]),
-            stored["halo"],
-            stored["point_count"],
-            stored["format"],
-            None if grid is None else Grid(tuple(grid[0]), tuple(grid[1])),
-            stored["max_points"],
-        )
+        layout, grid = Layout.from_json(stored.pop("layout")), stored.pop("grid")
+        return cls(folder, layout, grid=grid and Grid(*map(tuple, grid)), **stored)
 
     def chunk_path(self, tile: int) -> Path:
         """Return the file of a tile."""
@@ -124,7 +109,6 @@ class ChunkStore:
         return json.dumps({"tile": tile, "low": low, "high": high, "halo": self.halo})
 
 
-_COLUMNS = ("x", "y", "z")
 _CREATED = date(1970, 1, 1)
 """Of every chunk of LAS: the same points give the same bytes on any day."""
 
@@ -178,10 +162,10 @@ def read_rows(store: ChunkStore, tile: int) -> tuple[NDArray[np.int64], NDArray[
 
 def _write_parquet(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
     """Write a chunk; the tile's bounds and its halo are in the metadata of the schema."""
-    columns = {name: chunk.xyz[:, axis] for axis, name in enumerate(_COLUMNS)}
+    columns = dict(zip(COORDINATES, chunk.xyz.T, strict=True))
     table = pa.table({**columns, "row": chunk.rows, "core": chunk.core})
     table = table.replace_schema_metadata({"tile": store.describe(tile)})
-    split = dict.fromkeys(_COLUMNS, "BYTE_STREAM_SPLIT") | {"row": "DELTA_BINARY_PACKED"}
+    split = dict.fromkeys(COORDINATES, "BYTE_STREAM_SPLIT") | {"row": "DELTA_BINARY_PACKED"}
     # Coordinates hardly repeat, so dictionaries only cost time.
     with create_file(path) as file:
         pq.write_table(
@@ -209,10 +193,8 @@ def _read_parquet(path: Path) -> Chunk:
 def _chunk_in_parquet(path: Path) -> Chunk:
     with open_parquet(path) as file:
         table = file.read(use_threads=False)
-    xyz = np.empty((table.num_rows, 3))
-    for axis, name in enumerate(_COLUMNS):
-        xyz[:, axis] = table.column(name).to_numpy()
-    return Chunk(xyz, table.column("row").to_numpy().copy(), table.column("core").to_numpy())
+    rows, core = table.column("row").to_numpy().copy(), table.column("core").to_numpy()
+    return Chunk(xyz_of(table), rows, core)
 
 
 def _write_las(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:

@@ -195,11 +195,11 @@ class MapCollection:
         """
         rows = checked_rows(self.name, rows, self.point_count)
         for file in self.files_of(rows):
-            reader, first_row = self.readers[file], self.first_rows[file]
-            start = max(rows.start - first_row, 0)
-            stop = min(rows.stop - first_row, reader.description.point_count)
+            reader, of_file = self.readers[file], self.rows_of(file)
+            first_row = of_file.start
+            start, stop = max(rows.start, first_row), min(rows.stop, of_file.stop)
             if start < stop:
-                for batch in reader.batches(max_points, range(start, stop)):
+                for batch in reader.batches(max_points, range(start - first_row, stop - first_row)):
                     # A copy: the reader goes on from the row numbers of its own.
                     of_map = replace(batch, first_row=batch.first_row + first_row)
                     yield file, self.in_map(file, of_map)
@@ -218,6 +218,11 @@ class MapCollection:
         first = bisect_right(self.first_rows, rows.start) - 1
         return range(first, bisect_left(self.first_rows, rows.stop))
 
+    def rows_of(self, file: int) -> range:
+        """Return the rows of the whole map that come from a file."""
+        first_row = self.first_rows[file]
+        return range(first_row, first_row + self.readers[file].description.point_count)
+
     def row_ranges(self, max_points: int) -> list[range]:
         """Cut all rows into consecutive ranges that several workers can read side by side.
 
@@ -225,11 +230,11 @@ class MapCollection:
         beginning is in one range as a whole.
         """
         ranges: list[range] = []
-        for reader, first_row in zip(self.readers, self.first_rows, strict=True):
-            last = first_row + reader.description.point_count
-            step = max_points if reader.seekable else max(last - first_row, 1)
-            for start in range(first_row, last, step):
-                part = range(start, min(start + step, last))
+        for file, reader in enumerate(self.readers):
+            rows = self.rows_of(file)
+            step = max_points if reader.seekable else max(len(rows), 1)
+            for start in rows[::step]:
+                part = range(start, min(start + step, rows.stop))
                 if ranges and len(ranges[-1]) + len(part) <= max_points:
                     ranges[-1] = range(ranges[-1].start, part.stop)
                 else:
@@ -295,8 +300,6 @@ def _refuse_several_maps(folder: Path, files: Sequence[Path]) -> None:
 
 def _natural_order(path: Path) -> tuple[list[list[tuple[str, int]]], str]:
     """Order by folder and name, digits by the number they make."""
-    parts = []
-    for part in path.parts:
-        pieces = re.findall(r"(\D*)(\d*)", part)
-        parts.append([(text.lower(), int(digits or -1)) for text, digits in pieces])
-    return parts, str(path)
+    parts = (re.findall(r"(\D*)(\d*)", part) for part in path.parts)
+    ordered = [[(text.lower(), int(digits or -1)) for text, digits in part] for part in parts]
+    return ordered, str(path)

@@ -14,7 +14,6 @@ class Grid:
 
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
-    """Of x, y and z."""
 
     def coordinates(self, integers: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return the coordinates of integers, both (n, 3)."""

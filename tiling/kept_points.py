@@ -41,7 +41,6 @@ class KeptPoints:
 
     path: Path
     collection: MapCollection
-    """The map."""
 
     @cached_property
     def has_records(self) -> bool:
@@ -76,9 +75,8 @@ class KeptPoints:
         """
         with self._opened(lambda path: path.open("rb")) as stream:
             for file in self.collection.files_of(rows):
-                first_row, dtype = self._files[file]
-                start = max(rows.start, first_row)
-                stop = min(rows.stop, self._ends[file])
+                of_file, dtype = self.collection.rows_of(file), self._dtype(file)
+                start, stop = max(rows.start, of_file.start), min(rows.stop, of_file.stop)
                 most = max(1, min(max_points, _LARGEST_BATCH // dtype.itemsize))
                 stream.seek(self._place(file, start))
                 for first in range(start, stop, most):
@@ -87,32 +85,25 @@ class KeptPoints:
 
     def batches_of(self, file: int, max_points: int) -> Iterator[PointBatch]:
         """Yield the points of one file of the map, in order, as its reader does."""
-        first_row, _ = self._files[file]
-        for _, batch in self.batches(max_points, range(first_row, self._ends[file])):
-            yield replace(batch, first_row=batch.first_row - first_row)
+        rows = self.collection.rows_of(file)
+        for _, batch in self.batches(max_points, rows):
+            yield replace(batch, first_row=batch.first_row - rows.start)
 
-    @cached_property
-    def _files(self) -> list[tuple[int, np.dtype[Any]]]:
-        """First row and type of the rows of each file of the map."""
-        readers, first_rows = self.collection.readers, self.collection.first_rows
-        return [
-            (first_row, (reader.record_dtype if self.has_records else None) or _COORDINATES)
-            for reader, first_row in zip(readers, first_rows, strict=True)
-        ]
-
-    @cached_property
-    def _ends(self) -> list[int]:
-        return [*self.collection.first_rows[1:], self.collection.point_count]
+    def _dtype(self, file: int) -> np.dtype[Any]:
+        """Return the type of the rows of a file of the map."""
+        kept = self.collection.readers[file].record_dtype if self.has_records else None
+        return kept or _COORDINATES
 
     @cached_property
     def _starts(self) -> list[int]:
         """Where the points of each file of the map begin, and where the last of them end."""
-        ends = zip(self._files, self._ends, strict=True)
-        return list(accumulate(((end - at) * of.itemsize for (at, of), end in ends), initial=0))
+        files = range(len(self.collection.readers))
+        sizes = (len(self.collection.rows_of(n)) * self._dtype(n).itemsize for n in files)
+        return list(accumulate(sizes, initial=0))
 
     def _place(self, file: int, row: int) -> int:
-        first_row, dtype = self._files[file]
-        return self._starts[file] + (row - first_row) * dtype.itemsize
+        rows_before = row - self.collection.first_rows[file]
+        return self._starts[file] + rows_before * self._dtype(file).itemsize
 
     def _batch(self, file: int, first: int, kept: NDArray[Any]) -> PointBatch:
         if not self.has_records:

@@ -17,10 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.formats.points import only_finite
-from tiling.occupancy import FARTHEST, Occupancy, columns_of, distinct_columns
+from tiling.survey import FARTHEST, Occupancy, columns_of, distinct_columns
 
 NO_TILE = -1
 """The tile of a point without finite coordinates, and of one that was not in the survey."""
+
+_ARRAYS = {"origin": 2, "begins": (-1, 2), "ends": (-1, 2), "counts": -1}
+"""Those of a layout, by their shapes."""
 
 Columns = NDArray[np.int64]
 Corners = NDArray[np.float64]
@@ -31,7 +34,6 @@ class Tile:
     """One tile."""
 
     index: int
-    """Its number in the layout."""
     low: Corners
     high: Corners
     """(2,), the core: low <= x, y < high, metres; infinite at the edge of the lattice."""
@@ -129,27 +131,15 @@ class Layout:
 
     def to_json(self) -> str:
         """Return the layout as text, which `from_json` reads."""
-        return json.dumps(
-            {
-                "cell": self.cell,
-                "origin": self.origin.tolist(),
-                "begins": self.begins.tolist(),
-                "ends": self.ends.tolist(),
-                "counts": self.counts.tolist(),
-            }
-        )
+        arrays = {name: getattr(self, name).tolist() for name in _ARRAYS}
+        return json.dumps({"cell": self.cell, **arrays})
 
     @classmethod
     def from_json(cls, text: str) -> "Layout":
         """Return the layout that `to_json` turned into this text."""
         stored: dict[str, Any] = json.loads(text)
-        return cls(
-            float(stored["cell"]),
-            np.array(stored["origin"], np.int64),
-            np.array(stored["begins"], np.int64).reshape(-1, 2),
-            np.array(stored["ends"], np.int64).reshape(-1, 2),
-            np.array(stored["counts"], np.int64),
-        )
+        arrays = {name: np.array(stored[name], np.int64).reshape(_ARRAYS[name]) for name in _ARRAYS}
+        return cls(float(stored["cell"]), **arrays)
 
 
 def quadtree(occupancy: Occupancy, max_points: int) -> Layout:

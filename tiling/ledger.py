@@ -1,7 +1,7 @@
 """What was written, with checksums of it, so that it can be told later whether it is still that.
 
-`noting` lists what this thread writes by way of `tiling.atomic`: whole files as they appear, and
-ranges of files that several processes fill in.
+`noting` lists what this thread writes by way of `tiling.output_file`: whole files as they appear,
+and ranges of files that several processes fill in.
 """
 
 import zlib
@@ -21,7 +21,6 @@ class Written:
     """Bytes that were written."""
 
     path: Path
-    """The file."""
     start: int | None
     """First byte; None where they are the whole file."""
     size: int

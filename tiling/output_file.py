@@ -1,7 +1,7 @@
 """The one place where outputs are opened to be written: new files, and only where they may lie.
 
 A run never opens what is there already, nor writes through a link. What replaces a file is written
-beside it and renamed, see `tiling.atomic`.
+beside it and renamed, so that it appears whole or not at all.
 """
 
 import errno
@@ -14,8 +14,9 @@ from functools import cache
 from io import BufferedWriter
 from pathlib import Path
 from typing import BinaryIO, cast
+from uuid import uuid4
 
-from tiling.ledger import NotedFile
+from tiling.ledger import NotedFile, note_file
 
 logger = logging.getLogger("dynahull")
 
@@ -128,3 +129,24 @@ def _warn_once() -> None:
         "the file system cannot say when files are on its disk (fsync); what was written right "
         "before a power cut may be lost"
     )
+
+
+@contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Give a name beside `path` for a temporary file, which takes its place when all went well.
+
+    What was written, and closed, is flushed to the disk before. Several processes may write the
+    same file at the same time: the last one to finish stays.
+    """
+    check_place(path)
+    # Not longer than most names: there are names that leave no room for more. One that is left over
+    # belongs to a killed process.
+    temporary = path.with_name(f".{uuid4().hex}.part")
+    try:
+        yield temporary
+        sync_path(temporary)
+        note_file(path, temporary)
+        temporary.replace(path)
+        sync_path(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)

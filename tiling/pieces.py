@@ -105,15 +105,11 @@ class TileSorter:
         present = np.bincount(tiles + 1, minlength=len(self._layout) + 1)[1:]
         for tile in np.flatnonzero(present).tolist():
             if tile not in self._others:
-                self._others[tile] = self._find_others(tile)
+                near = self._layout.near(self._reached[0][tile], self._reached[1][tile])
+                self._others[tile] = np.asarray(near[near != tile], np.int64)
             lists.append(self._others[tile])
             sizes[tile + 1] = len(lists[-1])
         return np.cumsum(sizes), np.concatenate(lists)
-
-    def _find_others(self, tile: int) -> Integers:
-        layout = self._layout
-        near = layout.near(self._reached[0][tile], self._reached[1][tile])
-        return np.asarray(near[near != tile], np.int64)
 
 
 @helper

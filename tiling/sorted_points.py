@@ -8,15 +8,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tiling.atomic import atomic_file
 from tiling.errors import ChunkError
-from tiling.formats.parquet_tables import open_parquet
-from tiling.output_file import create_file
+from tiling.formats.parquet_tables import open_parquet, xyz_of
+from tiling.formats.points import COORDINATES
+from tiling.output_file import atomic_file, create_file
 
 Near = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 """Tells which of some boxes, seen from above, are near: of low (m, 2) and high (m, 2)."""
 
-_COLUMNS = ("x", "y", "z")
 _GROUP = 4_096
 """Points of a row group, at most."""
 
@@ -28,14 +27,14 @@ def write_sorted_points(path: Path, xyz: NDArray[np.float64], rows: NDArray[np.i
     where a row group lies. The file appears whole or not at all.
     """
     order = _by_blocks(xyz[:, :2])
-    columns = {name: xyz[:, axis].take(order) for axis, name in enumerate(_COLUMNS)}
+    columns = {name: xyz[:, axis].take(order) for axis, name in enumerate(COORDINATES)}
     with atomic_file(path) as temporary, create_file(temporary) as file:
         pq.write_table(
             pa.table({**columns, "row": rows.take(order)}),
             file,
             row_group_size=_GROUP,
             use_dictionary=False,
-            write_statistics=list(_COLUMNS[:2]),
+            write_statistics=list(COORDINATES[:2]),
             compression="lz4",
         )
 
@@ -64,10 +63,7 @@ def read_near(path: Path, near: Near) -> tuple[NDArray[np.float64], NDArray[np.i
     except Exception as error:  # of pyarrow, which has many
         found = " ".join(str(error).split())[:200]
         raise ChunkError(path, "points sorted by blocks", found) from error
-    xyz = np.empty((table.num_rows, 3))
-    for axis, name in enumerate(_COLUMNS):
-        xyz[:, axis] = table.column(name).to_numpy()
-    return xyz, table.column("row").to_numpy()
+    return xyz_of(table), table.column("row").to_numpy()
 
 
 def _bounds(metadata: pq.FileMetaData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from benchmarks.compare.results import Result
-from tiling.atomic import atomic_file
+from tiling.output_file import atomic_file
 
 __all__ = ["Record"]
 

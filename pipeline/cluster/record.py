@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.cluster.batch_systems import BatchSystem, JobState, batch_system, count_words
 from pipeline.errors import ClusterError
-from tiling.atomic import atomic_file
+from tiling.output_file import atomic_file
 
 CLUSTER_FOLDER = ".dynahull-cluster"
 """Within the output folder."""

@@ -22,8 +22,8 @@ from pipeline.errors import ConfigurationError, OutputError, WorkError
 from pipeline.outputs.folder import default_folder
 from pipeline.outputs.folder_lock import folder_is_locked
 from pipeline.replacing import CONFIGURATION_FILE, refuse_own_folders
-from tiling.atomic import atomic_file
 from tiling.collection import find_map_files
+from tiling.output_file import atomic_file
 
 _PATIENCE = 60.0
 """Seconds that a cancelled run is given to leave in order, its workers cancelled by itself."""

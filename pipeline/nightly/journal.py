@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from dynahull.parameters import validation_message
 from pipeline.errors import NightlyError
-from tiling.atomic import atomic_file
+from tiling.output_file import atomic_file
 
 JOURNAL_FILE = "journal.json"
 

@@ -22,7 +22,7 @@ from pipeline.nightly.journal import Failure
 from pipeline.nightly.results import MapFolder, begun, report_page, run_report
 from pipeline.showing import only_showing, printable
 from pipeline.templates import render
-from tiling.atomic import atomic_file
+from tiling.output_file import atomic_file
 
 logger = logging.getLogger("dynahull")
 

@@ -24,12 +24,11 @@ from pipeline.plan.resources import (
     worker_memory_limit,
 )
 from pipeline.showing import drawing_library
-from tiling.atomic import atomic_file
 from tiling.collection import MapCollection
 from tiling.kept_points import bytes_kept
 from tiling.layout import Layout, quadtree
-from tiling.occupancy import Occupancy, count_within
-from tiling.survey import Survey
+from tiling.output_file import atomic_file
+from tiling.survey import Occupancy, Survey, count_within
 
 _PIECE_BYTES = 32
 """A point of a tile, core or halo, until all chunks are gathered."""

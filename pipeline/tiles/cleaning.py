@@ -51,11 +51,11 @@ from pipeline.work.job import (
     Job,
 )
 from pipeline.workers.executors import Executor
-from tiling.atomic import atomic_file
 from tiling.chunks import ChunkStore, grid_of
 from tiling.collection import MapCollection
 from tiling.errors import TilingError
 from tiling.ledger import noting
+from tiling.output_file import atomic_file
 from tiling.resolution import coarse_step_notes
 from tiling.survey import Survey, merge
 

@@ -22,8 +22,7 @@ import pyarrow as pa
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import WorkError
-from tiling.atomic import atomic_file
-from tiling.output_file import create_file, sync, write_only
+from tiling.output_file import atomic_file, create_file, sync, write_only
 
 GO_ON = "the same command makes it again, and goes on"
 """What to do about work that is damaged."""

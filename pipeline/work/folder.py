@@ -19,8 +19,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pipeline.work.files import map_array, read_arrays, read_if_whole, write_arrays, write_sealed
-from tiling.atomic import atomic_file
 from tiling.ledger import Written
+from tiling.output_file import atomic_file
 
 WORK_FOLDER = ".dynahull-work"
 """Within the output folder."""

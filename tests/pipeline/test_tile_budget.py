@@ -14,7 +14,7 @@ from pipeline.progress import Display, LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import stages
 from tiling.layout import quadtree
-from tiling.occupancy import Occupancy
+from tiling.survey import Occupancy
 
 GIB = 1 << 30
 

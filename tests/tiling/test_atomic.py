@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tiling.atomic import atomic_file
-from tiling.output_file import write_only
+from tiling.output_file import atomic_file, write_only
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path):

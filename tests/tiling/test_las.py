@@ -392,7 +392,7 @@ BROKEN: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "pointer": (
         ".laz",
         lambda p: p.write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"),
-        "Git LFS pointer",
+        "git-LFS pointer",
     ),
     "text": (".las", lambda p: p.write_bytes(b"x y z\n1 2 3\n" * 99), '"LASF", found'),
     "cut header": (".las", lambda p: cut(p, 200), "a header of 227 bytes"),

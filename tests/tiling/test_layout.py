@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 
 from tiling.formats import PointBatch
 from tiling.layout import NO_TILE, Layout, morton_order, quadtree
-from tiling.occupancy import columns_of, count_within, distinct_columns
-from tiling.survey import survey_batches
+from tiling.survey import columns_of, count_within, distinct_columns, survey_batches
 
 
 def occupancy_of(xyz):

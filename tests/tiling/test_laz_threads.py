@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 
 from tiling.errors import MapFormatError
 from tiling.formats import MapReader, open_map
-from tiling.formats.las import laz_chunks
+from tiling.formats.las import compression
+from tiling.formats.las.compression import find_chunks, read_compression
 from tiling.formats.las.header import read_header
-from tiling.formats.las.laz_chunks import find_chunks
-from tiling.formats.las.laz_header import read_compression
 
 COUNT = 300
 CHUNK = 7
@@ -162,13 +161,13 @@ def test_a_range_is_found_without_what_is_before_it(paths, name):
 def test_chunks_before_a_range_are_not_walked(paths, name, monkeypatch):
     walked = []
     header = read_header(paths[name])
-    inner = laz_chunks._layered_chunk_end
+    inner = compression._layered_chunk_end
 
     def spy(file, header, compression, start, end):
         walked.append(start)
         return inner(file, header, compression, start, end)
 
-    monkeypatch.setattr(laz_chunks, "_layered_chunk_end", spy)
+    monkeypatch.setattr(compression, "_layered_chunk_end", spy)
     with paths[name].open("rb") as file:
         list(find_chunks(file, header, read_compression(header), range(290, 300)))
     assert 0 < len(walked) <= 3

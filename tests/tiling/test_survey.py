@@ -5,11 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiling import occupancy as occupancy_module
 from tiling.collection import MapCollection
 from tiling.formats import PointBatch
-from tiling.occupancy import FINEST_CELL, columns_of
-from tiling.survey import Survey, merge, survey, survey_batches
+from tiling.survey import FINEST_CELL, Survey, columns_of, merge, survey, survey_batches
 
 
 def batches(xyz, pieces, seed=0):
@@ -39,7 +37,7 @@ def test_parts_in_any_order_give_what_the_whole_gives(seed, size, pieces, extent
     xyz = random.normal(size=(size, 3)) * extent
     xyz[random.random(size) < 0.1] = np.nan
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(occupancy_module, "MOST_COLUMNS", most)
+        patch.setattr("tiling.survey.MOST_COLUMNS", most)
         whole = survey_batches(batches(xyz, 1))
         parts = batches(xyz, pieces, seed)
         same(survey_batches(parts), whole)

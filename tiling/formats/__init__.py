@@ -37,8 +37,9 @@ _READERS = {
     ".npy": ("tiling.formats.numpy.npy", "NpyReader"),
     ".npz": ("tiling.formats.numpy.npz", "NpzReader"),
     ".e57": ("tiling.formats.e57.reader", "E57Reader"),
-    **dict.fromkeys((".xyz", ".pts", ".asc"), ("tiling.formats.text", "TextReader")),
-    **dict.fromkeys((".txt", ".csv"), ("tiling.formats.text", "TextReader")),
+    **dict.fromkeys(
+        (".xyz", ".pts", ".asc", ".txt", ".csv"), ("tiling.formats.text", "TextReader")
+    ),
     ".bin": ("tiling.formats.numpy.npy", "RawReader"),
 }
 

@@ -8,6 +8,7 @@ output bit for bit.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError, PartsError, PointCountError
-from tiling.formats.parts import MapPart, PartWriter
+from tiling.formats.parts import MapPart, PartWriter, Surroundings
 from tiling.formats.points import (
     DEFAULT_BATCH,
     Field,
@@ -23,6 +24,7 @@ from tiling.formats.points import (
     PointBatch,
     checked_rows,
     coordinate_names,
+    longer_records,
 )
 from tiling.output_file import create_file
 
@@ -38,7 +40,6 @@ class MapWriter(ABC):
     """
 
     _file: BinaryIO | MapPart
-    """What is open."""
 
     def __init__(self, path: Path, point_count: int) -> None:
         self.path = path
@@ -117,6 +118,8 @@ class MapReader(ABC):
     is read and written does not depend on it."""
     bytes_per_point: int = 0
     """Bytes of a record, or of the shortest, as far as that is known before it is read."""
+    record_dtype: np.dtype[Any] | None = None
+    """The type of a row of `PointBatch.records` that `batch_of` takes; None where it takes none."""
     seekable: bool
     """Whether some of the rows can be read without all rows before them."""
     sets_values: bool = False
@@ -125,6 +128,7 @@ class MapReader(ABC):
     """Whether several processes can write one output at once, see `part_writer`."""
     further: tuple[Field, ...] = ()
     """Fields that `extend` puts behind those of the file."""
+    _byte_order: str = "<"
 
     def batches(
         self, max_points: int = DEFAULT_BATCH, rows: range | None = None
@@ -155,11 +159,6 @@ class MapReader(ABC):
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         """Yield the points of a range of rows that the file has."""
 
-    @property
-    def record_dtype(self) -> np.dtype[Any] | None:
-        """The type of a row of `PointBatch.records`, where they are an array; None elsewhere."""
-        return None
-
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make the batch again that had these records, an array of `record_dtype`."""
         raise NotImplementedError(f"{self.description.format}: records of no fixed size")
@@ -172,8 +171,7 @@ class MapReader(ABC):
         MapFormatError
             When the fields of this map cannot be read apart.
         """
-        said = self.description
-        raise MapFormatError(said.path, "a map whose fields can be read apart", said.format)
+        raise self._refused("a map whose fields can be read apart")
 
     def with_values(self, records: Any, values: Mapping[str, NDArray[Any]]) -> Any:
         """Return records of this reader with other values, (n,), by names that `values` takes."""
@@ -191,8 +189,7 @@ class MapReader(ABC):
         MapFormatError
             When maps of this format have more to agree on than their fields.
         """
-        said = self.description
-        raise MapFormatError(said.path, "PCD in binary, npy or KITTI's, to be merged", said.format)
+        raise self._refused("PCD in binary, npy or KITTI's, to be merged")
 
     def moved(self, records: NDArray[Any], xyz: NDArray[np.float64]) -> NDArray[Any]:
         """Return the records of points with other coordinates, (n, 3); see `merged`."""
@@ -201,11 +198,18 @@ class MapReader(ABC):
         moved: NDArray[Any] = self.with_values(records, dict(zip(names, xyz.T, strict=True)))
         return moved
 
-    @abstractmethod
     def writer(self, path: Path, point_count: int) -> MapWriter:
         """Open a writer of a map of `point_count` points in this map's format, header and all."""
+        if self.writes_parts:
+            return SinglePartWriter(self._part_writer(path, point_count))
+        return self._stream_writer(path, point_count)
 
-    @abstractmethod
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        raise NotImplementedError
+
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
+        raise NotImplementedError
+
     def extended(self, fields: Sequence[Field]) -> "MapReader":
         """Return what makes and writes points like this map's that have further fields.
 
@@ -222,13 +226,24 @@ class MapReader(ABC):
         MapFormatError
             When the map has no place for them.
         """
+        model = copy(self)
+        model.further = tuple(fields)
+        model._take_further()
+        return model
+
+    def _refused(self, expected: str) -> MapFormatError:
+        return MapFormatError(self.description.path, expected, self.description.format)
+
+    @abstractmethod
+    def _take_further(self) -> None:
+        """Make the header, or the schema, that of points which have the `further` fields too."""
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
         """Return the records of a batch of the map that was extended, with further values.
 
         They are (n,) arrays, one for each of `further`.
         """
-        raise NotImplementedError(f"{self.description.format}: no further fields")
+        return longer_records(batch.records, self.further, values, self._byte_order)
 
     def with_classes(self, records: Any, classification: NDArray[np.uint8]) -> Any:
         """Return extended records with these classes, (n,), where the format has any."""
@@ -243,17 +258,31 @@ class MapReader(ABC):
         PartsError
             When the format has no place for a point before those before it are written.
         """
-        raise PartsError(self.description.path, self.description.format)
+        if not self.writes_parts:
+            raise PartsError(self.description.path, self.description.format)
+        return self._part_writer(path, point_count)
 
 
-class TextWriter(MapWriter):
+class StreamWriter(MapWriter):
+    """Writes a new file from its beginning to its end, with what surrounds the points."""
+
+    _file: BinaryIO
+
+    def __init__(self, path: Path, point_count: int, around: Surroundings) -> None:
+        super().__init__(path, point_count)
+        self._around = around
+        self._file = create_file(path)
+        around.write_before(self._file)
+
+    def _finish(self) -> None:
+        self._around.write_after(self._file)
+        self._file.close()
+
+
+class TextWriter(StreamWriter):
     """Writes rows as they stood in the file they come from, after what stands before them there."""
 
-    def __init__(self, path: Path, point_count: int, head: bytes) -> None:
-        super().__init__(path, point_count)
-        self._file: BinaryIO = create_file(path)
-        self._file.write(head)
-        self._ended = True
+    _ended = True
 
     def _append(self, records: Any) -> None:
         text = records.tobytes()
@@ -262,6 +291,3 @@ class TextWriter(MapWriter):
         self._file.write(text)
         # The last row of a file may have no line ending.
         self._ended = text.endswith(b"\n")
-
-    def _finish(self) -> None:
-        self._file.close()

@@ -5,6 +5,7 @@ refused as soon as one more point has room in them; less than that, and padding,
 noted.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -47,6 +48,14 @@ def kind_of(start: bytes) -> str:
     return f"a file that begins with {start[:16]!r}"
 
 
+def check_signature(path: Path, signature: bytes, expected: str) -> None:
+    """Refuse a file that does not begin as its kind does."""
+    with path.open("rb") as file:
+        start = file.read(SIGNATURE_LENGTH)
+    if not start.startswith(signature):
+        raise MapFormatError(path, expected, kind_of(start), at="byte 0")
+
+
 PADDING = b"\0\t\n\r "
 """Bytes that writers fill a file up with, to the end of a page or of a line."""
 
@@ -76,17 +85,16 @@ def check_leftover(
     if size <= 0:
         return ()
     room = size // max(record_size, 1)
-    if room and not _is_padding(file, start, stop):
+    if room and any(block.strip(PADDING) for block in read_blocks(file, start, stop)):
         more = f"{size} bytes behind them, room for {room} more of {record_size} bytes"
         raise MapFormatError(path, f"no points but the {counted} counted", more, f"byte {start}")
     return (f"The {size} bytes after the last point are left out.",)
 
 
-def _is_padding(file: BinaryIO, start: int, stop: int) -> bool:
+def read_blocks(file: BinaryIO, start: int, stop: int) -> Iterator[bytes]:
+    """Yield the bytes of a file from one to before another, as far as they are there."""
     file.seek(start)
     left = stop - start
     while left and (block := file.read(min(_BLOCK, left))):
-        if block.strip(PADDING):
-            return False
+        yield block
         left -= len(block)
-    return True

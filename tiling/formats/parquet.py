@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
+from tiling.formats.checks import check_signature
 from tiling.formats.parquet_pages import check_pages, find_chunks
 from tiling.formats.parquet_tables import find_points, geometry_column, open_parquet
 from tiling.formats.points import Field, MapDescription, PointBatch, only_rows
@@ -33,15 +32,6 @@ _VALUE_BYTES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class TableBatch(PointBatch):
-    """Points whose records are a `pyarrow.Table`."""
-
-    def select(self, chosen: NDArray[np.bool_]) -> Any:
-        """Return the rows of the table where `chosen` is true, in order."""
-        return self.records.filter(pa.array(chosen))
-
-
-@dataclass(frozen=True, slots=True)
 class _Layout:
     """How the rows of a file lie in it."""
 
@@ -51,13 +41,8 @@ class _Layout:
     """Rows of the largest row group; 0 where there are none."""
     bytes_per_row: int
     """Bytes that a row takes in memory, on average; a text that is stored once counts once."""
-    has_int96: bool
-    """Whether there are time stamps in the form of 96 bits that Spark and Impala used to write."""
-    has_arrow_schema: bool
-    """Whether Arrow's own schema is kept beside that of Parquet."""
-    has_compliant_lists: bool
-    """Whether what is in a list is called `element`, as the format demands and as older writers,
-    which said `item`, did not."""
+    options: dict[str, bool]
+    """Of `pyarrow.parquet.ParquetWriter`."""
 
     @classmethod
     def of(cls, file: pq.ParquetFile, path: Path) -> "_Layout":
@@ -84,9 +69,13 @@ class _Layout:
             bytes_per_row=max(
                 stored // max(metadata.num_rows, 1), _VALUE_BYTES * values // max([1, *rows[:1]])
             ),
-            has_int96=any(column.physical_type == "INT96" for column in columns),
-            has_arrow_schema=_ARROW_SCHEMA in (metadata.metadata or {}),
-            has_compliant_lists=not any(".list.item" in column.path for column in columns),
+            options={
+                # Time stamps in the form of 96 bits that Spark and Impala used to write.
+                "use_deprecated_int96_timestamps": any(c.physical_type == "INT96" for c in columns),
+                "store_schema": _ARROW_SCHEMA in (metadata.metadata or {}),
+                # What is in a list is called `element`; older writers said `item`.
+                "use_compliant_nested_type": not any(".list.item" in c.path for c in columns),
+            },
         )
 
 
@@ -111,12 +100,12 @@ class ParquetReader(MapReader):
             check_pages(path, self._chunks[0] if self._chunks else [])
             self._layout = _Layout.of(file, path)
             version, point_count = file.metadata.format_version, file.metadata.num_rows
-        points = find_points(self._schema, stored.get(_GEO), path)
-        if points is None:
+        take_points = find_points(self._schema, stored.get(_GEO), path)
+        if take_points is None:
             found = ", ".join(self._schema.names[:12]) or "none"
             found = f"{point_count} rows of {len(self._schema)} columns: {found}"
             raise MapFormatError(path, "columns x, y and z", found, at="the schema")
-        self._points = points
+        self._take_points = take_points
         self.bytes_per_point = self._layout.bytes_per_row
         # A range is read by row groups.
         self.seekable = self._layout.group_rows <= _LONGEST_ROW_GROUP
@@ -153,7 +142,7 @@ class ParquetReader(MapReader):
         last = row + sum(file.metadata.row_group(group).num_rows for group in groups)
         for batch in file.iter_batches(batch_size=max_points, row_groups=groups, use_threads=False):
             table = pa.Table.from_batches([batch])
-            yield TableBatch(row, self._points.take(table), table)
+            yield PointBatch(row, self._take_points(table), table)
             row += table.num_rows
         if row != last:
             expected = f"{last} rows, as the footer says"
@@ -172,21 +161,16 @@ class ParquetReader(MapReader):
             records = records.set_column(at, records.schema.field(at), array)
         return records
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a table like this one; see `MapReader.writer`."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
         return _ParquetWriter(path, point_count, self._schema, self._layout)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further columns; see `MapReader.extended`."""
-        model = copy(self)
-        model.further = tuple(fields)
-        for field in fields:
+    def _take_further(self) -> None:
+        for field in self.further:
             kind = pa.from_numpy_dtype(np.dtype(field.dtype))
-            model._schema = model._schema.append(pa.field(field.name, kind))
+            self._schema = self._schema.append(pa.field(field.name, kind))
         codec = next(iter(self._layout.codecs.values()), "SNAPPY")
-        codecs = {**self._layout.codecs, **{field.name: codec for field in fields}}
-        model._layout = replace(self._layout, codecs=codecs)
-        return model
+        further = dict.fromkeys((field.name for field in self.further), codec)
+        self._layout = replace(self._layout, codecs=self._layout.codecs | further)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> pa.Table:
         """Return the rows with further columns; see `MapReader.extend`."""
@@ -216,9 +200,7 @@ class _ParquetWriter(MapWriter):
             # Older versions cannot hold nanoseconds or unsigned 32-bit integers as such.
             version="2.6",
             compression=codecs or "snappy",
-            use_deprecated_int96_timestamps=layout.has_int96,
-            store_schema=layout.has_arrow_schema,
-            use_compliant_nested_type=layout.has_compliant_lists,
+            **layout.options,
         )
 
     def _append(self, records: Any) -> None:
@@ -271,10 +253,8 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
 
 def _check_signature(path: Path) -> None:
     """Check how the file begins and ends."""
+    check_signature(path, b"PAR1", "a Parquet file")
     with path.open("rb") as raw:
-        start = raw.read(SIGNATURE_LENGTH)
-        if not start.startswith(b"PAR1"):
-            raise MapFormatError(path, "a Parquet file", kind_of(start), at="byte 0")
         size = raw.seek(0, 2)
         raw.seek(max(size - 4, 0))
         if size < 12 or raw.read(4) != b"PAR1":

@@ -9,7 +9,6 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,19 +45,12 @@ _LITTLE_ENDIAN = 1
 _POINT_Z = (1001, 0x80000001)
 
 Points = NDArray[np.float64]
+TakePoints = Callable[[pa.Table], Points]
+"""Returns the (n, 3) coordinates of a table; what is null is NaN."""
 
 
-@dataclass(frozen=True, slots=True)
-class PointColumns:
-    """The columns of the coordinates, and how they are taken out of a table."""
-
-    names: tuple[str, ...]
-    take: Callable[[pa.Table], Points]
-    """Returns the (n, 3) float64 coordinates of a table; what is null is NaN."""
-
-
-def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumns | None:
-    """Find the coordinates in a table; return None where no columns could hold them.
+def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> TakePoints | None:
+    """Tell how to take coordinates out of a table; None where no columns could hold them.
 
     GeoParquet's description of the table is `geo`, if there is one. Columns that should hold them
     and hold anything else are refused.
@@ -70,21 +62,20 @@ def find_points(schema: pa.Schema, geo: bytes | None, path: Path) -> PointColumn
             if not _is_number(kind):
                 expected = f"numbers in column {name}"
                 raise MapFormatError(path, expected, f"type {kind}", at="the schema")
-        return PointColumns(names, partial(_of_parts, keys=[(name, None) for name in names]))
+        return partial(xyz_of, names=names)
     geometry = str(geometry_column(geo)[0])
     for name in (_POINTS, geometry):
         if name not in schema.names:
             continue
         kind = _only_column(schema, name, path).type
         if _is_list(kind) and _is_number(kind.value_type):
-            return PointColumns((name,), partial(_of_parts, keys=[(name, n) for n in range(3)]))
+            return partial(xyz_of, names=[name] * 3, parts=range(3))
         if pa.types.is_struct(kind):
             parts = {field.name: field.type for field in kind}
             if all(part in parts and _is_number(parts[part]) for part in COORDINATES):
-                keys = [(name, part) for part in COORDINATES]
-                return PointColumns((name,), partial(_of_parts, keys=keys))
+                return partial(xyz_of, names=[name] * 3, parts=COORDINATES)
         if name == geometry and (pa.types.is_binary(kind) or pa.types.is_large_binary(kind)):
-            return PointColumns((name,), partial(_of_wkb, name=name, path=path))
+            return partial(_of_wkb, name=name, path=path)
     return None
 
 
@@ -118,15 +109,19 @@ def _is_list(kind: pa.DataType) -> bool:
     )
 
 
-def _of_parts(table: pa.Table, keys: Sequence[tuple[str, int | str | None]]) -> Points:
-    """Take each coordinate from a column, or from an item or a member of its values."""
+def xyz_of(
+    table: pa.Table,
+    names: Sequence[str] = COORDINATES,
+    parts: Sequence[int | str | None] = (None, None, None),
+) -> Points:
+    """Take each coordinate, (n, 3), from a column, or from an item or a member of its values."""
     xyz = np.empty((table.num_rows, 3))
-    for axis, (name, key) in enumerate(keys):
+    for axis, (name, part) in enumerate(zip(names, parts, strict=True)):
         column = table.column(name)
-        if isinstance(key, int):
-            column = pc.list_element(column, key)
-        elif isinstance(key, str):
-            column = pc.struct_field(column, key)
+        if isinstance(part, int):
+            column = pc.list_element(column, part)
+        elif isinstance(part, str):
+            column = pc.struct_field(column, part)
         if pa.types.is_decimal(column.type):
             column = column.cast(pa.float64(), safe=False)
         xyz[:, axis] = column.to_numpy()

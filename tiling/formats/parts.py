@@ -5,9 +5,9 @@ how many points come before it. The bytes are those that one process writes, sin
 writes a single part.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from io import SEEK_END
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import PointCountError
+from tiling.formats.checks import read_blocks
 from tiling.output_file import create_shared, sync, write_only
 
-_BLOCK = 1 << 20
+Spans = Sequence[tuple[int, int]]
 
 
 @dataclass(slots=True)
@@ -30,7 +31,6 @@ class PartSummary:
     first: int
     """Row number, in the output, of its first point."""
     count: int = 0
-    """Points in it."""
 
     def add(self, records: Any) -> None:
         """Take at least one more point into account."""
@@ -54,7 +54,36 @@ class PartSummary:
         self.count = count
 
 
-class PartWriter(ABC):
+@dataclass(slots=True)
+class Surroundings:
+    """What stands before and after the points of an output.
+
+    Before them are a head and bytes of another file, after them bytes of the same: spans, each from
+    a byte to one before the end. That file must still be there when they are written.
+    """
+
+    head: bytes
+    source: Path = Path()
+    before: Spans = ()
+    after: Spans = ()
+
+    @property
+    def points_offset(self) -> int:
+        """Byte of the first point."""
+        return len(self.head) + sum(end - start for start, end in self.before)
+
+    def write_before(self, file: BinaryIO) -> None:
+        """Write what is before the points."""
+        file.write(self.head)
+        _copy_spans(self.source, file, self.before)
+
+    def write_after(self, file: BinaryIO) -> None:
+        """Write what is after the points, at the end of which the file stands."""
+        _copy_spans(self.source, file, self.after)
+
+
+@dataclass
+class PartWriter:
     """Writes a map of a known number of points in parts, in any order and from any process.
 
     One process calls `create`; then each writes its parts; and when all are written, one process
@@ -62,14 +91,18 @@ class PartWriter(ABC):
     be made on another that was made alike.
     """
 
-    def __init__(self, path: Path, point_count: int) -> None:
-        self.path = path
-        self.point_count = point_count
+    path: Path
+    point_count: int
+    around: Surroundings
+    record_size: int
 
     def create(self) -> None:
         """Write all but the points, and give the file its full size."""
         with create_shared(self.path) as file:
-            self._write_surroundings(file)
+            self.around.write_before(file)
+            file.truncate(self._start_of(self.point_count))
+            file.seek(0, SEEK_END)
+            self.around.write_after(file)
 
     def open_part(self, first: int) -> "MapPart":
         """Open the file, which must have been created, to write points from a row on."""
@@ -107,13 +140,12 @@ class PartWriter(ABC):
         """Return the summary of a part that has no points yet."""
         return PartSummary(first)
 
-    @abstractmethod
-    def put(self, file: BinaryIO, first: int, records: Any) -> None:
+    def put(self, file: BinaryIO, first: int, records: NDArray[Any]) -> None:
         """Write records to their places, the first of them being that of point `first`."""
+        put_records(file, self._start_of(first), records)
 
-    @abstractmethod
-    def _write_surroundings(self, file: BinaryIO) -> None:
-        """Write what is before and after the points, and leave the file at its full size."""
+    def _start_of(self, row: int) -> int:
+        return self.around.points_offset + row * self.record_size
 
     def _completed_header(self, parts: Sequence[PartSummary]) -> bytes | None:
         """Return how the file begins, where that takes knowledge of all points."""
@@ -186,16 +218,11 @@ def put_records(file: BinaryIO, start: int, records: NDArray[Any]) -> None:
     file.write(np.ascontiguousarray(records).view(np.uint8).data)
 
 
-def copy_spans(source: Path, target: BinaryIO, spans: Sequence[tuple[int, int]]) -> None:
-    """Append bytes of a file to another, each span from a byte to one before the end."""
+def _copy_spans(source: Path, target: BinaryIO, spans: Spans) -> None:
     if not spans:
         return
     with source.open("rb") as file:
         for start, end in spans:
-            file.seek(start)
-            left = end - start
-            while left:
-                block = file.read(min(_BLOCK, left))
-                if not block:
-                    raise OSError(f"{source}: cut short while it was read")
-                left -= target.write(block)
+            copied = sum(target.write(block) for block in read_blocks(file, start, end))
+            if copied < end - start:
+                raise OSError(f"{source}: cut short while it was read")

@@ -96,7 +96,8 @@ class PointBatch:
         if isinstance(self.records, np.ndarray):
             # Several times as fast as indexing where a record is a row of bytes.
             return self.records.compress(chosen, axis=0)
-        return self.records[chosen]
+        is_table = hasattr(self.records, "filter")
+        return self.records.filter(chosen) if is_table else self.records[chosen]
 
     def within(self, rows: range) -> Self | None:
         """Return the part of the batch whose row numbers lie in a range, None if there is none."""
@@ -138,6 +139,14 @@ def checked_rows(name: str, rows: range | None, point_count: int) -> range:
     return rows
 
 
+def numbered(parts: Iterable[tuple[Any, NDArray[np.float64]]]) -> Iterator[PointBatch]:
+    """Yield batches of a file's points, which come as records and their coordinates."""
+    first_row = 0
+    for records, xyz in parts:
+        yield PointBatch(first_row, xyz, records)
+        first_row += len(xyz)
+
+
 def only_rows(batches: Iterable[PointBatch], rows: range) -> Iterator[PointBatch]:
     """Take a range of rows out of consecutive batches, and ask for none after its end."""
     for batch in batches:
@@ -157,12 +166,14 @@ def coordinate_names(names: Collection[str]) -> tuple[str, str, str] | None:
 
 
 def longer_records(
-    records: NDArray[Any],
+    records: "NDArray[Any] | TextRows",
     fields: Sequence[Field],
     values: Sequence[NDArray[Any]],
-    byte_order: str = "<",
-) -> NDArray[Any]:
-    """Put values, packed in the file's byte order, behind records that are packed bytes."""
+    byte_order: str,
+) -> "NDArray[Any] | TextRows":
+    """Put values behind lines of text, or behind packed bytes in the file's byte order."""
+    if not isinstance(records, np.ndarray):
+        return longer_rows(records, fields, values)
     tail = packed(fields, values, byte_order)
     if records.dtype != object:
         return joined(records, tail)
@@ -223,9 +234,7 @@ def _rows(records: Any) -> Iterable[bytes]:
     if isinstance(records, np.ndarray):
         return _of_array(records)
     if hasattr(records, "starts"):  # rows of text
-        text = records.text.tobytes()
-        bounds = zip(records.starts.tolist(), records.stops.tolist(), strict=True)
-        return (text[start:stop].rstrip() for start, stop in bounds)
+        return (row.rstrip() for row in records)
     if hasattr(records, "scan"):
         return (b"%d " % records.scan + row for row in _of_array(records.rows))
     columns = [_exact(column).to_pylist() for column in records.columns]
@@ -235,8 +244,7 @@ def _rows(records: Any) -> Iterable[bytes]:
 def _of_array(records: NDArray[Any]) -> Iterable[bytes]:
     if records.dtype == object:
         return list(records)
-    size = records.nbytes // max(len(records), 1)
-    content = records.tobytes()
+    content, size = records.tobytes(), records.nbytes // max(len(records), 1)
     return (content[at : at + size] for at in range(0, len(content), size or 1))
 
 

@@ -7,7 +7,6 @@ taken apart: those that stay are written back byte for byte, and only x, y and z
 
 import re
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter, TextWriter
 from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
+from tiling.formats.parts import Surroundings
 from tiling.formats.points import (
     COORDINATES,
     Field,
@@ -26,6 +26,7 @@ from tiling.formats.points import (
     PointBatch,
     coordinate_names,
     longer_rows,
+    numbered,
     only_rows,
 )
 from tiling.formats.text_rows import COMMENTS, RowLayout, TextRows, read_rows
@@ -51,7 +52,6 @@ class TextHead:
     names: tuple[str, ...]
     """One for each value; those of coordinates are x, y and z where the file has no names."""
     layout: RowLayout
-    """Of the rows."""
 
     @property
     def size(self) -> int:
@@ -119,14 +119,9 @@ class TextReader(MapReader):
         self.bytes_per_point = state.st_size // max(self._count, 1)
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        return only_rows(self._all_batches(max_points), rows)
-
-    def _all_batches(self, max_points: int) -> Iterator[PointBatch]:
-        first_row = 0
         with self._path.open("rb") as stream:
-            for rows, xyz in _rows(stream, self._head, self._path, self._count, max_points):
-                yield PointBatch(first_row, xyz, rows)
-                first_row += len(rows)
+            parts = _rows(stream, self._head, self._path, self._count, max_points)
+            yield from only_rows(numbered(parts), rows)
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one value of some rows as a number; see `MapReader.values`."""
@@ -137,16 +132,11 @@ class TextReader(MapReader):
         except ValueError as error:
             raise MapFormatError(self._path, f"numbers in the field {name}", str(error)) from None
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of rows below the same head; see `MapReader.writer`."""
-        return TextWriter(path, point_count, self._head.for_points(point_count))
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        return TextWriter(path, point_count, Surroundings(self._head.for_points(point_count)))
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further values behind the others; see `MapReader.extended`."""
-        model = copy(self)
-        model.further = tuple(fields)
-        model._head = self._head.extended([field.name for field in fields])
-        return model
+    def _take_further(self) -> None:
+        self._head = self._head.extended([field.name for field in self.further])
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> TextRows:
         """Return the rows with further values; see `MapReader.extend`."""

@@ -55,12 +55,14 @@ class TextRows:
     def __getitem__(self, chosen: NDArray[np.bool_] | slice) -> "TextRows":
         return TextRows(self.text, self.starts[chosen], self.stops[chosen])
 
+    def __iter__(self) -> Iterator[bytes]:
+        text, bounds = self.text.tobytes(), zip(self.starts, self.stops, strict=True)
+        return (text[start:stop] for start, stop in bounds)
+
     def with_words(self, words: Sequence[bytes], separator: bytes = b" ") -> "TextRows":
         """Return the rows with some words behind the last value of each."""
-        text = self.text.tobytes()
         rows = []
-        for start, stop, more in zip(self.starts, self.stops, words, strict=True):
-            row = text[start:stop]
+        for row, more in zip(self, words, strict=True):
             content = row.rstrip() if separator == b" " else row.rstrip(b"\r\n")
             end = row[len(content) :].lstrip(b" \t")
             rows.append(b"%b%b%b%b" % (content, separator, more, end))
@@ -69,9 +71,7 @@ class TextRows:
 
     def column(self, number: int, dtype: np.dtype[Any], separator: bytes = b"") -> NDArray[Any]:
         """Return a value of each row, counted from 0: whole numbers as such, others as float64."""
-        text = self.text.tobytes()
-        bounds = zip(self.starts, self.stops, strict=True)
-        words = (text[a:b].split(separator or None)[number] for a, b in bounds)
+        words = (row.split(separator or None)[number] for row in self)
         values = np.array([float(word) for word in words], dtype=np.float64)
         whole = dtype.kind in "iu" and bool(np.isfinite(values).all())
         with np.errstate(invalid="ignore"):
@@ -89,7 +89,6 @@ class RowLayout:
     """What a row of text holds."""
 
     values: int
-    """Values in a row."""
     coordinates: tuple[int, ...]
     """Which of them, from 0, are x, y and z."""
     separator: bytes = b""
@@ -103,11 +102,6 @@ class RowLayout:
         """Which values are converted, (values,)."""
         places = np.arange(self.values)
         return np.isin(places, self.coordinates) if self.free else places >= 0
-
-    @property
-    def least_bytes(self) -> int:
-        """Bytes of a row, at least; the last line of a file may have one less."""
-        return self.values * (1 if self.separator else 2)
 
 
 def read_rows(
@@ -185,14 +179,12 @@ def parse_rows(
     """Take up to `limit` rows out of whole lines of text, (m,), from a position on.
 
     Returns the rows, their coordinates, (n, 3), the position after them, and the lines passed. The
-    file, and the number of the line at the position, are for messages.
-
-    Raises
-    ------
-    MapFormatError
-        For another number of values in a row, and a value that is not a number.
+    file, and the number of the line at the position, are for messages: another number of values in
+    a row, and a value that is not a number, are refused.
     """
-    limit = min(limit, (len(text) - position) // layout.least_bytes + 1)
+    # A row has a byte for each value and one behind it, but for the last row of a file.
+    least_bytes = layout.values * (1 if layout.separator else 2)
+    limit = min(limit, (len(text) - position) // least_bytes + 1)
     wanted = layout.wanted
     numbers_wanted = int(np.count_nonzero(wanted))
     starts = np.empty(limit, dtype=np.int64)
@@ -204,13 +196,13 @@ def parse_rows(
         text, position, wanted, separator, layout.free, starts, stops, words, bounds
     )
     places = np.flatnonzero(wanted)
-    try:
-        numbers = _as_numbers(words, bounds[: numbers_wanted * rows + 1])
-    except _NotANumberError as error:
-        row, place = divmod(error.place, numbers_wanted)
+    numbers, wrong = _as_numbers(words, bounds[: numbers_wanted * rows + 1])
+    if wrong is not None:
+        row, place = divmod(wrong, numbers_wanted)
+        word = bytes(words[bounds[wrong] : bounds[wrong + 1]])[:40].decode("ascii", "replace")
         lines_before = np.count_nonzero(text[position : starts[row]] == _LINE_FEED)
         at = f"line {line + lines_before}, value {places[place] + 1}"
-        raise MapFormatError(path, "a number", repr(str(error)), at) from None
+        raise MapFormatError(path, "a number", repr(word), at)
     if column:
         at = f"line {line + lines}"
         raise MapFormatError(path, f"{layout.values} values in a row", str(column), at)
@@ -219,27 +211,19 @@ def parse_rows(
     return TextRows(text, starts[:rows], stops[:rows]), xyz, stop, lines
 
 
-class _NotANumberError(ValueError):
-    """A word is not a number; `place` counts the words before it."""
-
-    def __init__(self, word: bytes, place: int) -> None:
-        super().__init__(word[:40].decode("ascii", "replace"))
-        self.place = place
-
-
-def _as_numbers(text: Bytes, bounds: Positions) -> NDArray[np.float64]:
-    """Convert the words between successive bounds to float64."""
+def _as_numbers(text: Bytes, bounds: Positions) -> tuple[NDArray[np.float64], int | None]:
+    """Convert the words between successive bounds; or say which is the first that is no number."""
     buffers = len(bounds) - 1, py_buffer(bounds), py_buffer(text)
     try:
         numbers = LargeStringArray.from_buffers(*buffers).cast(float64())
-        return np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64)
+        return np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64), None
     except (ArrowInvalid, UnicodeDecodeError):
         words = [bytes(text[a:b]) for a, b in pairwise(bounds.tolist())]
     for place, word in enumerate(words):
         if not _NUMBER.fullmatch(word):
-            raise _NotANumberError(word, place)
+            return np.empty(0), place
     # Some versions of Arrow take fewer forms than C does.
-    return np.array([float(word.split(b"(")[0]) for word in words], dtype=np.float64)
+    return np.array([float(word.split(b"(")[0]) for word in words], dtype=np.float64), None
 
 
 @compiled
@@ -254,11 +238,9 @@ def _split_rows(
     words: Bytes,
     bounds: Positions,
 ) -> tuple[int, int, int, int]:
-    """Find rows, and copy the words that are wanted into `words`, one after the other.
-
-    Returns the rows found, the position reached, the lines passed, and the values of a row that
-    has another number of them; else 0.
-    """
+    """Find rows, and copy the words that are wanted into `words`, one after the other."""
+    # Returned are the rows found, the position reached, the lines passed, and the values of a row
+    # that has another number of them; else 0.
     values = len(wanted)
     rows = lines = copied = words_found = 0
     while rows < len(starts) and position < len(text):

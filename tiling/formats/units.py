@@ -75,5 +75,5 @@ def length(name: str, metres: float) -> Unit | None:
     for known, known_name in _NAMES.items():
         if abs(metres / known - 1) < _SAME:
             return Unit(known_name, known)
-    printable = "".join(each for each in name if each.isprintable())[:_LONGEST_NAME]
+    printable = "".join(filter(str.isprintable, name))[:_LONGEST_NAME]
     return Unit(printable or f"{metres:g} m", metres)

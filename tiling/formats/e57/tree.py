@@ -51,17 +51,9 @@ def node(any_node: Any) -> Any:
     e57: Any = import_module("pye57.libe57")
     if not isinstance(any_node, e57.Node):
         return any_node
-    kinds = {
-        e57.E57_STRUCTURE: e57.StructureNode,
-        e57.E57_VECTOR: e57.VectorNode,
-        e57.E57_COMPRESSED_VECTOR: e57.CompressedVectorNode,
-        e57.E57_INTEGER: e57.IntegerNode,
-        e57.E57_SCALED_INTEGER: e57.ScaledIntegerNode,
-        e57.E57_FLOAT: e57.FloatNode,
-        e57.E57_STRING: e57.StringNode,
-        e57.E57_BLOB: e57.BlobNode,
-    }
-    return kinds[any_node.type()](any_node)
+    # One of type E57_COMPRESSED_VECTOR is a CompressedVectorNode, and so on.
+    kind = any_node.type().name.removeprefix("E57_").title().replace("_", "")
+    return getattr(e57, f"{kind}Node")(any_node)
 
 
 def children(parent: Any) -> Iterator[Any]:
@@ -126,10 +118,7 @@ def _copied(source: Any, target: Any) -> Any:
             *map(int, (each.rawValue(), each.minimum(), each.maximum())),
             *map(float, (each.scale(), each.offset())),
         ),
-        e57.FloatNode: lambda each: (
-            *(each.value(), each.precision()),
-            *(each.minimum(), each.maximum()),
-        ),
+        e57.FloatNode: lambda of: (of.value(), of.precision(), of.minimum(), of.maximum()),
         e57.StringNode: lambda each: (each.value(),),
         e57.BlobNode: lambda each: (each.byteCount(),),
         e57.CompressedVectorNode: lambda each: (

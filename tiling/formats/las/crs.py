@@ -51,18 +51,15 @@ def crs_name(records: Sequence[VariableLengthRecord]) -> str | None:
     None where there is neither. Well-known text is preferred to GeoTIFF keys.
     """
     found = _crs_records(records)
-    name = None
-    if _WKT in found:
-        name = _tidy(name_in_wkt(_text(found[_WKT])) or "")
-    if name is None and _GEO_KEY_DIRECTORY in found:
-        name = _name_in_geo_keys(found[_GEO_KEY_DIRECTORY], found.get(_ASCII_PARAMS, b""))
-    return name
+    name = _tidy(name_in_wkt(_text(found.get(_WKT, b""))) or "")
+    keys = _geo_keys(found.get(_GEO_KEY_DIRECTORY, b""))
+    return name or _name_in_geo_keys(keys, found.get(_ASCII_PARAMS, b""))
 
 
 def crs_units(records: Sequence[VariableLengthRecord]) -> Units | None:
     """Tell what the coordinates of a LAS file are measured in, None where nothing says it."""
     found = _crs_records(records)
-    units = units_in_wkt(_text(found[_WKT])) if _WKT in found else None
+    units = units_in_wkt(_text(found.get(_WKT, b"")))
     if (units is None or units.horizontal is None) and _GEO_KEY_DIRECTORY in found:
         doubles = found.get(_DOUBLE_PARAMS, b"")
         units = units_in_geo_keys(found[_GEO_KEY_DIRECTORY], doubles) or units
@@ -77,19 +74,17 @@ def _text(data: bytes) -> str:
     return data.split(b"\0", maxsplit=1)[0].decode("utf-8", "replace")
 
 
-def _name_in_geo_keys(directory: bytes, ascii_params: bytes) -> str | None:
+def _name_in_geo_keys(keys: _Keys, ascii_params: bytes) -> str | None:
     """Return the EPSG code of the projected or else the geographic system, or a citation."""
-    keys = _geo_keys(directory)
     for key in (_PROJECTED, _GEOGRAPHIC):
         code = _short(keys, key)
         if 0 < code < _USER_DEFINED:
             return f"EPSG:{code}"
     for key in _CITATIONS:
         location, size, start = keys.get(key, (0, 0, 0))
-        if location == _ASCII_PARAMS:
-            citation = _tidy(ascii_params[start : start + size].decode("latin-1"))
-            if citation:
-                return citation
+        citation = _tidy(ascii_params[start : start + size].decode("latin-1"))
+        if location == _ASCII_PARAMS and citation:
+            return citation
     return None
 
 
@@ -183,10 +178,8 @@ class _Node:
 def name_in_wkt(text: str) -> str | None:
     """Return the code of the outermost authority, or the name of the outermost system."""
     for node in _parsed(text)[:1]:
-        for authority in reversed(node.of({"AUTHORITY", "ID"})):
-            if len(authority.values) > 1:
-                return ":".join(authority.values[:2])
-        return node.values[0] if node.values else None
+        codes = [each.values for each in node.of({"AUTHORITY", "ID"}) if len(each.values) > 1]
+        return ":".join(codes[-1][:2]) if codes else next(iter(node.values), None)
     return None
 
 
@@ -222,26 +215,21 @@ def _horizontal(node: _Node) -> tuple[Unit | None, Unit | None]:
 
 def _unit_of(node: _Node, axis: int) -> Unit | None:
     """Return the unit of an axis: its own, or that of all."""
-    axes = node.of({"AXIS"})
-    own = _units(axes[axis]) if axis < len(axes) else []
-    found = [*own, *(_units(node) if axis == 0 else [])]
-    return found[0] if found else None
+    places = [*node.of({"AXIS"})[axis : axis + 1], *[node] * (axis == 0)]
+    return next((unit for place in places for unit in _units(place)), None)
 
 
-def _units(node: _Node) -> list[Unit]:
-    found = []
+def _units(node: _Node) -> Iterator[Unit]:
     for unit in node.of({"UNIT", "LENGTHUNIT", "ANGLEUNIT"}):
-        name = unit.values[0] if unit.values else ""
-        if unit.keyword == "ANGLEUNIT" or any(word in name.lower() for word in _ANGLES):
-            found.append(DEGREE)
-            continue
+        name, factor, *_ = (*unit.values, "", "")
         try:
-            metres = float(unit.values[1])
-        except (IndexError, ValueError):
-            metres = 0.0
-        known = length(name, metres)
-        found += [known] if known else []
-    return found
+            known = length(name, float(factor))
+        except ValueError:
+            known = length(name, 0.0)
+        if unit.keyword == "ANGLEUNIT" or any(word in name.lower() for word in _ANGLES):
+            known = DEGREE
+        if known:
+            yield known
 
 
 def _parsed(text: str) -> list[_Node]:

@@ -7,24 +7,19 @@ positions are those of the ASPRS LAS specification, 1.4 R15 (table 24).
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from tiling.errors import MapFormatError
+from tiling.formats.las.compression import is_laszip_record, own_compression
 from tiling.formats.las.header import (
-    AT_HEADER_SIZE,
-    AT_MINOR_VERSION,
-    AT_POINTS_OFFSET,
-    AT_RECORD_LENGTH,
-    AT_VLR_COUNT,
-    RECORD_LENGTHS,
     SMALLEST_HEADER,
+    At,
     LasHeader,
     read_vlrs,
 )
-from tiling.formats.las.laz_header import is_laszip_record, own_compression
 from tiling.formats.points import Field
 
 USER_ID, RECORD_ID = "LASF_Spec", 4
@@ -68,6 +63,7 @@ _TYPES = (
     *("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64"),
     *("float32", "float64"),
 )
+_LAST_CODE = 30
 _DESCRIPTOR = struct.Struct("<2xBB32s156x")
 
 
@@ -84,16 +80,13 @@ def extra_fields(header: LasHeader) -> tuple[Field, ...]:
     return (*fields, Field("ExtraBytes", "uint8", left)) if left else fields
 
 
-def extended_descriptors(header: LasHeader, fields: Sequence[Field]) -> bytes:
-    """Return the data of a VLR that describes the extra bytes of a file, and further ones.
-
-    What is described keeps its bytes; what nobody described is described as such, since further
-    fields could not be found behind it otherwise, in pieces of sizes that laspy takes: it reads two
-    bits of a size, 8 and 16, as those of a scale and an offset.
-    """
+def _extended_descriptors(header: LasHeader, fields: Sequence[Field]) -> bytes:
+    """Return the data of a VLR that describes the extra bytes of a file, and further ones."""
     described, left = _described(header)
     data = bytearray(_stored(header)[: len(described) * _DESCRIPTOR.size])
     piece = 0
+    # Further fields could not be found behind what nobody described. It comes in pieces of sizes
+    # that laspy takes: it reads two bits of a size, 8 and 16, as those of a scale and an offset.
     while left:
         size = next(each for each in range(min(left, 0xFF), 0, -1) if not each & 0b11000)
         piece += 1
@@ -106,13 +99,17 @@ def extended_descriptors(header: LasHeader, fields: Sequence[Field]) -> bytes:
 
 def _described(header: LasHeader) -> tuple[tuple[Field, ...], int]:
     """Return the fields that are described and are there, and how many bytes are left."""
-    left = header.record_length - RECORD_LENGTHS[header.point_format]
+    left = header.extra_bytes
     fields = []
-    for field, size in _descriptors(_stored(header)):
-        if size == 0 or size > left:
+    for code, options, text in _DESCRIPTOR.iter_unpack(_stored(header)):
+        dtype, count = "uint8", options
+        if code:
+            dtype, count = _TYPES[(code - 1) % len(_TYPES)], (code - 1) // len(_TYPES) + 1
+        size = np.dtype(dtype).itemsize * count
+        if code > _LAST_CODE or not 0 < size <= left:
             break
         left -= size
-        fields.append(field)
+        fields.append(Field(text.split(b"\0")[0].decode("utf-8", "replace"), dtype, count))
     return tuple(fields), left
 
 
@@ -123,18 +120,6 @@ def _stored(header: LasHeader) -> bytes:
         for each in header.vlrs
         if each.names(USER_ID, RECORD_ID)
     )
-
-
-def _descriptors(data: bytes) -> Iterator[tuple[Field, int]]:
-    """Yield each field and its bytes, 0 for a type that the specification does not know."""
-    for at in range(0, len(data) - _DESCRIPTOR.size + 1, _DESCRIPTOR.size):
-        code, options, text = _DESCRIPTOR.unpack_from(data, at)
-        name = text.split(b"\0")[0].decode("utf-8", "replace")
-        field = Field(name, "uint8", options)
-        if 1 <= code <= 30:
-            field = Field(name, _TYPES[(code - 1) % 10], (code - 1) // 10 + 1)
-        size = np.dtype(field.dtype).itemsize * field.count
-        yield field, size if code <= 30 else 0
 
 
 LAST_SHORT_CLASS = 31
@@ -149,15 +134,11 @@ def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
     """Return the header of a file's points with further extra bytes, and the VLRs that these need.
 
     The VLR of extra bytes gets a descriptor for each field; one is made where there is none, and of
-    several. That of LASzip, which lists the bytes of a point, is written anew.
-
-    Raises
-    ------
-    MapFormatError
-        When a point, or the VLR, would be longer than the format allows.
+    several. That of LASzip, which lists the bytes of a point, is written anew. Points and VLRs that
+    would be longer than the format allows are refused.
     """
     length = header.record_length + sum(np.dtype(field.dtype).itemsize for field in fields)
-    descriptors = extended_descriptors(header, fields)
+    descriptors = _extended_descriptors(header, fields)
     for size, name in ((length, "points"), (len(descriptors), "descriptions of extra bytes")):
         if size > _LARGEST:
             expected = f"{name} of at most {_LARGEST} bytes with the fields that are added"
@@ -165,25 +146,21 @@ def extended_header(header: LasHeader, fields: Sequence[Field]) -> LasHeader:
     longer = _with_vlr(_with_whole_header(header), USER_ID, RECORD_ID, descriptors)
     if header.compressed:
         record = next(each for each in header.vlrs if is_laszip_record(each))
-        extra = length - RECORD_LENGTHS[header.point_format]
-        data = own_compression(header.point_format, extra, variable_chunks=False)
+        data = own_compression(replace(header, record_length=length))
         longer = _with_vlr(longer, record.user_id, record.record_id, data)
     block = bytearray(longer.block)
-    struct.pack_into("<H", block, AT_RECORD_LENGTH, length)
-    struct.pack_into("<I", block, AT_POINTS_OFFSET, len(block))
+    struct.pack_into("<H", block, At.RECORD_LENGTH, length)
+    struct.pack_into("<I", block, At.POINTS_OFFSET, len(block))
     return replace(longer, block=bytes(block), record_length=length)
 
 
 def _with_whole_header(header: LasHeader) -> LasHeader:
-    """Give a header that is too short for its version the size that this version demands.
-
-    Readers would take what is put behind it for the fields that are missing.
-    """
-    minor = header.block[AT_MINOR_VERSION]
+    """Give a header the size that its version demands, lest VLRs be taken for missing fields."""
+    minor = header.block[At.MINOR_VERSION]
     size = max(header.public_size, SMALLEST_HEADER[minor])
     block = bytearray(header.block)
     block[header.public_size : header.public_size] = bytes(size - header.public_size)
-    struct.pack_into("<H", block, AT_HEADER_SIZE, size)
+    struct.pack_into("<H", block, At.HEADER_SIZE, size)
     return replace(header, block=bytes(block), minor_version=minor, vlrs=read_vlrs(block))
 
 
@@ -201,5 +178,5 @@ def _with_vlr(header: LasHeader, user_id: str, record_id: int, data: bytes) -> L
         end = header.vlrs[-1].end if header.vlrs else header.public_size
         block[end:end] = _VLR_HEADER.pack(user_id.encode(), record_id, len(data), b"") + data
     count = len(header.vlrs) - len(same) + 1
-    struct.pack_into("<I", block, AT_VLR_COUNT, count)
+    struct.pack_into("<I", block, At.VLR_COUNT, count)
     return replace(header, block=bytes(block), vlrs=read_vlrs(block))

@@ -11,27 +11,33 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tiling.errors import MapFormatError
+from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 
 SMALLEST_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 """Bytes of the public header block by minor version."""
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point by point format, without extra bytes."""
 
-AT_GLOBAL_ENCODING = 6
-AT_MINOR_VERSION = 25
-AT_HEADER_SIZE = 94
-AT_POINTS_OFFSET = 96
-AT_VLR_COUNT = 100
-AT_POINT_FORMAT = 104
-AT_RECORD_LENGTH = 105
-AT_LEGACY_COUNT = 107
-AT_SCALES = 131
-AT_OFFSETS = 155
-AT_BOUNDS = 179
-AT_WAVEFORMS = 227
-AT_FIRST_EVLR = 235
-AT_COUNT = 247
-AT_GPS_TIME_BOUNDS = 375
+
+class At:
+    """Bytes of the public header block at which its fields begin."""
+
+    GLOBAL_ENCODING = 6
+    MINOR_VERSION = 25
+    HEADER_SIZE = 94
+    POINTS_OFFSET = 96
+    VLR_COUNT = 100
+    POINT_FORMAT = 104
+    RECORD_LENGTH = 105
+    LEGACY_COUNT = 107
+    SCALES = 131
+    OFFSETS = 155
+    BOUNDS = 179
+    WAVEFORMS = 227
+    FIRST_EVLR = 235
+    COUNT = 247
+    GPS_TIME_BOUNDS = 375
+
 
 WAVEFORMS_EXTERNAL = 0b100
 """Bit of the global encoding: waveform packets are in a `.wdp` file."""
@@ -57,15 +63,10 @@ class VariableLengthRecord:
     record_id: int
     """Who registered it, and what it is."""
     start: int
-    size: int
-    """Bytes of the whole record, its header included."""
+    end: int
+    """Bytes of the file: those of the whole record, its header included."""
     data: bytes
     """The record's own data; of an EVLR, only where it is of the coordinate reference system."""
-
-    @property
-    def end(self) -> int:
-        """Byte after the record."""
-        return self.start + self.size
 
     def names(self, user_id: str, record_id: int) -> bool:
         """Tell whether this is the record registered under these names."""
@@ -77,9 +78,7 @@ class LasHeader:
     """What precedes the points, as bytes, and what it says."""
 
     path: Path
-    """The file."""
     file_size: int
-    """Its bytes."""
     block: bytes
     """Everything before the points: header, VLRs, and whatever else is there."""
     minor_version: int
@@ -87,14 +86,11 @@ class LasHeader:
     point_format: int
     """0 to 10."""
     compressed: bool
-    """Whether the points are LAZ."""
     record_length: int
     """Bytes of a point, extra bytes included."""
     point_count: int
-    """Points in the file."""
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
-    """Of x, y and z."""
     vlrs: tuple[VariableLengthRecord, ...]
     evlrs: tuple[VariableLengthRecord, ...]
     """Before and after the points."""
@@ -111,29 +107,18 @@ class LasHeader:
         return len(self.block)
 
     @property
+    def extra_bytes(self) -> int:
+        """Bytes of a point behind the fields of its format."""
+        return self.record_length - RECORD_LENGTHS[self.point_format]
+
+    @property
     def public_size(self) -> int:
         """Bytes of the public header block."""
-        return int(struct.unpack_from("<H", self.block, AT_HEADER_SIZE)[0])
-
-    @property
-    def global_encoding(self) -> int:
-        """Bit field of the header."""
-        return int(struct.unpack_from("<H", self.block, AT_GLOBAL_ENCODING)[0])
-
-    @property
-    def has_waveforms(self) -> bool:
-        """Whether each point has a waveform packet."""
-        return self.point_format in (4, 5, 9, 10)
+        return int(struct.unpack_from("<H", self.block, At.HEADER_SIZE)[0])
 
 
 def read_header(path: Path) -> LasHeader:
-    """Read and check everything of a LAS or LAZ file but its points.
-
-    Raises
-    ------
-    MapFormatError
-        When the header contradicts the specification or the file's size.
-    """
+    """Read everything of a LAS or LAZ file but its points; refuse what contradicts its size."""
     with path.open("rb") as file:
         return _HeaderReader(path, file).read()
 
@@ -150,9 +135,9 @@ class _HeaderReader:
 
     def read(self) -> LasHeader:
         point_format, compressed, record_length = self._point_layout()
-        (legacy_count,) = self._unpack("<I", AT_LEGACY_COUNT)
+        (legacy_count,) = self._unpack("<I", At.LEGACY_COUNT)
         # Since 1.4 the field of 64 bits, unless only the older is filled.
-        count = (self._unpack("<Q", AT_COUNT)[0] if self._minor >= 4 else 0) or legacy_count
+        count = (self._unpack("<Q", At.COUNT)[0] if self._minor >= 4 else 0) or legacy_count
         start = self._points_offset()
         room = (self._size - start) // record_length
         if not compressed and count > room:
@@ -162,8 +147,8 @@ class _HeaderReader:
         self._file.seek(0)
         block = bytearray(self._file.read(start))
         vlrs = read_vlrs(block)
-        self._note_missing("VLR", self._unpack("<I", AT_VLR_COUNT)[0], len(vlrs))
-        struct.pack_into("<I", block, AT_VLR_COUNT, len(vlrs))
+        self._note_missing("VLR", self._unpack("<I", At.VLR_COUNT)[0], len(vlrs))
+        struct.pack_into("<I", block, At.VLR_COUNT, len(vlrs))
         promised, evlrs, end = self._evlrs(start)
         self._note_missing("EVLR", promised, len(evlrs))
         return LasHeader(
@@ -202,21 +187,18 @@ class _HeaderReader:
         """Return the minor version whose fields are there, and the public header block."""
         header = self._file.read(SMALLEST_HEADER[5])
         if header[:4] != b"LASF":
-            found = repr(header[:4])[1:] if header else "an empty file"
-            if header.startswith(b"version https://git-lfs"):
-                found = "a Git LFS pointer in place of the file"
-            raise self._wrong('the LAS signature "LASF"', found, 0)
+            raise self._wrong('the LAS signature "LASF"', kind_of(header[:SIGNATURE_LENGTH]), 0)
         if self._size < SMALLEST_HEADER[0]:
             expected = f"a header of {SMALLEST_HEADER[0]} bytes"
             raise MapFormatError(self._path, expected, f"the file's end at byte {self._size}")
         major, minor = header[24], header[25]
         if major != 1 or minor not in SMALLEST_HEADER:
             raise self._wrong("LAS version 1.0 to 1.5", f"{major}.{minor}", 24)
-        (size,) = struct.unpack_from("<H", header, AT_HEADER_SIZE)
+        (size,) = struct.unpack_from("<H", header, At.HEADER_SIZE)
         whole = SMALLEST_HEADER[minor]
         if not SMALLEST_HEADER[0] <= size <= self._size:
             expected = f"a header of {whole} bytes or more within the file's {self._size}"
-            raise self._wrong(expected, f"header size {size}", AT_HEADER_SIZE)
+            raise self._wrong(expected, f"header size {size}", At.HEADER_SIZE)
         if size < whole:
             self._notes.append(
                 f"The header has {size} bytes, and that of LAS 1.{minor} has {whole}: what should "
@@ -227,38 +209,38 @@ class _HeaderReader:
 
     def _point_layout(self) -> tuple[int, bool, int]:
         """Return point format, whether it is compressed, and the bytes of a point."""
-        stored = self._header[AT_POINT_FORMAT]
+        stored = self._header[At.POINT_FORMAT]
         point_format = stored & ~_COMPRESSED
         if point_format >= len(RECORD_LENGTHS):
-            raise self._wrong("point format 0 to 10", f"{point_format}", AT_POINT_FORMAT)
-        (length,) = self._unpack("<H", AT_RECORD_LENGTH)
+            raise self._wrong("point format 0 to 10", f"{point_format}", At.POINT_FORMAT)
+        (length,) = self._unpack("<H", At.RECORD_LENGTH)
         least = RECORD_LENGTHS[point_format]
         if length < least:
             expected = f"points of {least} bytes or more (point format {point_format})"
-            raise self._wrong(expected, f"{length} bytes", AT_RECORD_LENGTH)
+            raise self._wrong(expected, f"{length} bytes", At.RECORD_LENGTH)
         return point_format, bool(stored & _COMPRESSED), length
 
     def _points_offset(self) -> int:
-        (offset,) = self._unpack("<I", AT_POINTS_OFFSET)
-        (end,) = self._unpack("<H", AT_HEADER_SIZE)
+        (offset,) = self._unpack("<I", At.POINTS_OFFSET)
+        (end,) = self._unpack("<H", At.HEADER_SIZE)
         if not end <= offset <= self._size:
             expected = f"points between the header's end ({end}) and the file's ({self._size})"
-            raise self._wrong(expected, f"offset to points {offset}", AT_POINTS_OFFSET)
+            raise self._wrong(expected, f"offset to points {offset}", At.POINTS_OFFSET)
         if offset > _LARGEST_BLOCK:
             expected = f"at most {_LARGEST_BLOCK} bytes before the points"
-            raise self._wrong(expected, f"{offset}", AT_POINTS_OFFSET)
+            raise self._wrong(expected, f"{offset}", At.POINTS_OFFSET)
         return int(offset)
 
     def _grid(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return scales and offsets, which no integer takes beyond what is finite."""
-        scales: tuple[float, float, float] = struct.unpack_from("<3d", self._header, AT_SCALES)
-        offsets: tuple[float, float, float] = struct.unpack_from("<3d", self._header, AT_OFFSETS)
+        scales: tuple[float, float, float] = struct.unpack_from("<3d", self._header, At.SCALES)
+        offsets: tuple[float, float, float] = struct.unpack_from("<3d", self._header, At.OFFSETS)
         for axis, (scale, offset) in enumerate(zip(scales, offsets, strict=True)):
             if scale == 0 or not math.isfinite(abs(scale) * _LARGEST_GRID_COORDINATE + abs(offset)):
                 expected = (
                     f"a scale of {'xyz'[axis]} other than 0, and an offset, of finite coordinates"
                 )
-                place = f"bytes {AT_SCALES + 8 * axis} and {AT_OFFSETS + 8 * axis}"
+                place = f"bytes {At.SCALES + 8 * axis} and {At.OFFSETS + 8 * axis}"
                 found = f"scale {scale}, offset {offset}"
                 raise MapFormatError(self._path, expected, found, place)
         return scales, offsets
@@ -267,27 +249,25 @@ class _HeaderReader:
         """Return how many extended records there should be, the whole ones, and where these end."""
         if self._minor < 4:
             return 0, (), 0
-        start, count = self._unpack("<QI", AT_FIRST_EVLR)
+        start, count = self._unpack("<QI", At.FIRST_EVLR)
         records: list[VariableLengthRecord] = []
         while len(records) < count and points_offset <= start <= self._size - _EVLR_HEADER:
             self._file.seek(start)
             head = self._file.read(_EVLR_HEADER)
-            size = _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
-            if start + size > self._size:
+            end = start + _EVLR_HEADER + struct.unpack_from("<Q", head, 20)[0]
+            if end > self._size:
                 break
-            record = _record(head, start, size, b"")
-            if record.user_id == CRS_USER_ID and size <= _LARGEST_CRS:
-                record = replace(record, data=self._file.read(size - _EVLR_HEADER))
+            record = _record(head, start, end, b"")
+            if record.user_id == CRS_USER_ID and end - start <= _LARGEST_CRS:
+                record = replace(record, data=self._file.read(end - start - _EVLR_HEADER))
             records.append(record)
-            start += size
+            start = end
         return count, tuple(records), start
 
     def _waveforms(self, points_offset: int) -> tuple[int, int] | None:
-        """Find the record of waveform packets in the file; None where there is no whole one.
-
-        It has the header of an EVLR, in LAS 1.3 too.
-        """
-        start = self._unpack("<Q", AT_WAVEFORMS)[0] if self._minor >= 3 else 0
+        """Find the record of waveform packets in the file; None where there is no whole one."""
+        # It has the header of an EVLR, in LAS 1.3 too.
+        start = self._unpack("<Q", At.WAVEFORMS)[0] if self._minor >= 3 else 0
         if start < points_offset or start + _EVLR_HEADER > self._size:
             return None
         self._file.seek(start + 20)
@@ -298,19 +278,19 @@ class _HeaderReader:
 
 def read_vlrs(block: bytes | bytearray) -> tuple[VariableLengthRecord, ...]:
     """Split what lies between the public header and the points into its records, the whole ones."""
-    (start,) = struct.unpack_from("<H", block, AT_HEADER_SIZE)
-    (count,) = struct.unpack_from("<I", block, AT_VLR_COUNT)
+    (start,) = struct.unpack_from("<H", block, At.HEADER_SIZE)
+    (count,) = struct.unpack_from("<I", block, At.VLR_COUNT)
     records: list[VariableLengthRecord] = []
     while len(records) < count and start + _VLR_HEADER <= len(block):
-        size = _VLR_HEADER + struct.unpack_from("<H", block, start + 20)[0]
-        if start + size > len(block):
+        end = start + _VLR_HEADER + struct.unpack_from("<H", block, start + 20)[0]
+        if end > len(block):
             break
-        data = bytes(block[start + _VLR_HEADER : start + size])
-        records.append(_record(block[start : start + _VLR_HEADER], start, size, data))
-        start += size
+        data = bytes(block[start + _VLR_HEADER : end])
+        records.append(_record(block[start : start + _VLR_HEADER], start, end, data))
+        start = end
     return tuple(records)
 
 
-def _record(head: bytes | bytearray, start: int, size: int, data: bytes) -> VariableLengthRecord:
+def _record(head: bytes | bytearray, start: int, end: int, data: bytes) -> VariableLengthRecord:
     user_id = bytes(head[2:18]).split(b"\0")[0].decode("latin-1")
-    return VariableLengthRecord(user_id, struct.unpack_from("<H", head, 18)[0], start, size, data)
+    return VariableLengthRecord(user_id, struct.unpack_from("<H", head, 18)[0], start, end, data)

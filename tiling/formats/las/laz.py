@@ -8,6 +8,7 @@ table without entries.
 import io
 import os
 import struct
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from itertools import chain, islice
@@ -17,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
+from tiling.formats.las.compression import Chunk, Compression, comes_from_lazrs, find_chunks
 from tiling.formats.las.header import LasHeader
-from tiling.formats.las.laz_chunks import Chunk, comes_from_lazrs, find_chunks
-from tiling.formats.las.laz_header import Compression
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
@@ -57,6 +57,7 @@ def _owner_of_pool() -> int:
     return os.getpid()
 
 
+@dataclass
 class LazPoints:
     """Decompresses some rows of the points of a LAZ file, in order.
 
@@ -64,32 +65,23 @@ class LazPoints:
     time as there are threads, see `usable_threads`.
     """
 
-    def __init__(
-        self,
-        file: BinaryIO,
-        header: LasHeader,
-        compression: Compression,
-        rows: range,
-        threads: int = 1,
-    ) -> None:
-        self._file = file
-        self._header = header
-        self._compression = compression
-        self._rows = rows
-        self._threads = threads
-        self._chunks = find_chunks(file, header, compression, rows)
+    file: BinaryIO
+    header: LasHeader
+    compression: Compression
+    rows: range
+    threads: int
+
+    def __post_init__(self) -> None:
+        """Find the chunks, of which none is read yet."""
+        self._chunks = find_chunks(self.file, self.header, self.compression, self.rows)
         self._ready: PointSource | None = None
         self._left = 0
-        self._row = rows.start
+        self._row = self.rows.start
 
     def read_into(self, records: NDArray[np.uint8]) -> None:
         """Decompress the next points into (n, record_length), contiguous.
 
-        Raises
-        ------
-        MapFormatError
-            When the compressed bytes end too early or make no sense, or chunks or layers contradict
-            the file's size.
+        Refused are bytes that end too early or make no sense, and chunks beyond the file's size.
         """
         done = 0
         while done < len(records):
@@ -103,29 +95,29 @@ class LazPoints:
             done += count
 
     def _open_next_chunks(self) -> None:
-        chunks = list(islice(self._chunks, self._threads))
+        chunks = list(islice(self._chunks, self.threads))
         if not chunks:
             found = f"chunks of {self._row} or more, but not as many"
-            raise MapFormatError(self._header.path, f"{self._header.point_count} points", found)
-        if self._threads > 1 and self._can_be_read_at_once(chunks):
-            self._ready = _Decompressed(self._file, self._header, self._compression, chunks)
+            raise MapFormatError(self.header.path, f"{self.header.point_count} points", found)
+        if self.threads > 1 and self._can_be_read_at_once(chunks):
+            self._ready = _Decompressed(self.file, self.header, self.compression, chunks)
         else:
             self._chunks = chain(chunks[1:], self._chunks)
             chunks = chunks[:1]
-            self._ready = _Stream(self._file, self._header, self._compression, chunks[0])
+            self._ready = _Stream(self.file, self.header, self.compression, chunks[0])
         self._left = chunks[-1].first_row + chunks[-1].points - chunks[0].first_row
         passed_over = self._row - chunks[0].first_row
         while passed_over:
             count = min(passed_over, _PASSED_AT_A_TIME)
-            self._ready.read_into(np.empty((count, self._header.record_length), dtype=np.uint8))
+            self._ready.read_into(np.empty((count, self.header.record_length), dtype=np.uint8))
             self._left -= count
             passed_over -= count
 
     def _can_be_read_at_once(self, chunks: list[Chunk]) -> bool:
         # What is behind the last point is seen by reading its chunk alone, unless it has layers.
-        last = chunks[-1].first_row + chunks[-1].points == self._header.point_count
-        longest = max(chunk.points for chunk in chunks) * self._header.record_length
-        return longest <= LARGEST_PARALLEL_CHUNK and (self._compression.has_layers or not last)
+        last = chunks[-1].first_row + chunks[-1].points == self.header.point_count
+        longest = max(chunk.points for chunk in chunks) * self.header.record_length
+        return longest <= LARGEST_PARALLEL_CHUNK and (self.compression.has_layers or not last)
 
 
 class _Stream:

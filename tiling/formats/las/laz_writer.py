@@ -8,12 +8,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tiling.formats.base import MapWriter
-from tiling.formats.las.header import RECORD_LENGTHS, LasHeader
+from tiling.formats.base import StreamWriter
+from tiling.formats.las.compression import Compression, own_compression
+from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
-from tiling.formats.las.laz_header import Compression, own_compression
 from tiling.formats.las.surroundings import LasSummary, LasSurroundings
-from tiling.output_file import create_file
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 
@@ -25,7 +24,7 @@ _LAYERED_WAVE_PACKETS = (9, 10)
 """Point formats whose wave packets lazrs gets wrong in chunks of several scanner channels."""
 
 
-class LazWriter(MapWriter):
+class LazWriter(StreamWriter):
     """Writes raw point records, compressed, under the header of the file they come from.
 
     That file must still be there, and its points are compressed in the same way. The threads, see
@@ -40,14 +39,12 @@ class LazWriter(MapWriter):
         compression: Compression,
         threads: int,
     ) -> None:
-        super().__init__(path, point_count)
-        self._summary = LasSummary.of(header)
         data = _followed_compression(header, compression)
-        self._surroundings = LasSurroundings(header, data)
-        vlr = lazrs.LazVlr(compression.data if data is None else data)
-        self._file: BinaryIO = create_file(path)
+        self._las = LasSurroundings(header, data)
+        self._summary = LasSummary.of(header)
+        super().__init__(path, point_count, self._las)
         try:
-            self._surroundings.write_header(self._file)
+            vlr = lazrs.LazVlr(compression.data if data is None else data)
             self._points = _chunks(self._file, vlr, point_count, threads)
         except BaseException:
             self._file.close()
@@ -68,17 +65,16 @@ class LazWriter(MapWriter):
             except lazrs.LazrsError as error:
                 raise OSError(f"{self.path}: {error}") from error
             points_end = self._file.seek(0, io.SEEK_END)
-            self._surroundings.write_after_points(self._file)
+            self._las.write_after(self._file)
             self._file.seek(0)
-            self._file.write(self._surroundings.completed_header(points_end, self._summary))
+            self._file.write(self._las.completed(points_end, self._summary))
 
 
 def _followed_compression(header: LasHeader, compression: Compression) -> bytes | None:
     """Return the data of lazrs's own laszip VLR, None where it writes what the input's says."""
-    extra_bytes = header.record_length - RECORD_LENGTHS[header.point_format]
     variable_chunks = header.point_format in _LAYERED_WAVE_PACKETS
     # Both have the same items, if not of the same version, and hence the same length.
-    data = own_compression(header.point_format, extra_bytes, variable_chunks)
+    data = own_compression(header, variable_chunks)
     follows = compression.can_be_written_as(data) and compression.chunk_size <= _LARGEST_CHUNK
     return None if follows and not variable_chunks else data
 
@@ -137,11 +133,7 @@ class _ParallelChunks(_Chunks):
 
 
 class _ChannelChunks(_Chunks):
-    """Ends a chunk where the scanner channel changes.
-
-    lazrs, unlike LASzip, does not restore the wave packet that it remembers of each channel, and
-    so loses them.
-    """
+    """Ends a chunk where the scanner channel changes: lazrs mixes up the channels' wave packets."""
 
     def __init__(self, file: BinaryIO, vlr: Any) -> None:
         super().__init__(lazrs.LasZipCompressor(file, vlr))

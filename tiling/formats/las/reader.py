@@ -8,7 +8,6 @@ laspy names them, and coordinates are computed as laspy computes them.
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -18,8 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.checks import check_leftover
+from tiling.formats.las.compression import (
+    Compression,
+    check_chunk_count,
+    knows_chunks,
+    read_compression,
+)
 from tiling.formats.las.crs import crs_name, crs_units
 from tiling.formats.las.fields import (
     LAST_SHORT_CLASS,
@@ -28,20 +33,20 @@ from tiling.formats.las.fields import (
     standard_fields,
 )
 from tiling.formats.las.header import (
-    AT_MINOR_VERSION,
-    AT_WAVEFORMS,
     WAVEFORMS_EXTERNAL,
+    At,
     LasHeader,
     read_header,
 )
 from tiling.formats.las.laz import LaszipPoints, LazPoints, PointSource, usable_threads
-from tiling.formats.las.laz_chunks import check_chunk_count, knows_chunks
-from tiling.formats.las.laz_header import Compression, read_compression
 from tiling.formats.las.laz_writer import LazWriter
 from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
 from tiling.formats.parts import PartWriter
-from tiling.formats.points import Field, MapDescription, PointBatch, bytes_of, packed
+from tiling.formats.points import MapDescription, PointBatch, bytes_of, packed
 from tiling.grid import Grid, integers_in_records
+
+_WITH_WAVEFORMS = (4, 5, 9, 10)
+_SHORT_CLASS = np.uint8(LAST_SHORT_CLASS)
 
 
 class LasReader(MapReader):
@@ -52,6 +57,7 @@ class LasReader(MapReader):
     def __init__(self, path: Path) -> None:
         self._header = read_header(path)
         self.bytes_per_point = self._header.record_length
+        self.record_dtype = np.dtype((np.uint8, self._header.record_length))
         self._compression: Compression | None = None
         self.seekable = self.writes_parts = not self._header.compressed
         if self._header.compressed:
@@ -73,16 +79,14 @@ class LasReader(MapReader):
                 source.read_into(records)
                 yield self.batch_of(first, records)
 
-    @property
-    def record_dtype(self) -> np.dtype[Any]:
-        """Bytes; see `MapReader.record_dtype`."""
-        return np.dtype((np.uint8, self._header.record_length))
-
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make a batch of raw records; see `MapReader.batch_of`."""
         header = self._header
-        xyz, classes = coordinates(records, header), _classes(records, header)
-        return PointBatch(first_row, xyz, records, classes, _withheld(records, header))
+        xyz = Grid(header.scales, header.offsets).coordinates(integers_in_records(records))
+        flags = records[:, 15]
+        if header.point_format < 6:  # they share their byte with the class
+            return PointBatch(first_row, xyz, records, flags & _SHORT_CLASS, flags >= 128)
+        return PointBatch(first_row, xyz, records, records[:, 16].copy(), (flags & 4) != 0)
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one field of some points, as laspy takes them apart; see `MapReader.values`."""
@@ -117,27 +121,18 @@ class LasReader(MapReader):
             raise MapFormatError(self._header.path, expected, f"{found.size} bytes")
         return found
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of a map with this one's header, VLRs and EVLRs."""
-        if self._compression is None:
-            return SinglePartWriter(self.part_writer(path, point_count))
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        assert self._compression is not None  # else it is written in parts
         threads = usable_threads(self.threads)
         return LazWriter(path, point_count, self._header, self._compression, threads)
 
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer in parts of an uncompressed file; see `MapReader.part_writer`."""
-        if self._compression is not None:
-            return super().part_writer(path, point_count)
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
         return LasPartWriter(path, point_count, self._header)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further extra bytes; see `MapReader.extended`."""
-        model = copy(self)
-        model.further = tuple(fields)
-        model._header = extended_header(self._header, fields)
-        if model._header.compressed:
-            model._compression = read_compression(model._header)
-        return model
+    def _take_further(self) -> None:
+        self._header = extended_header(self._header, self.further)
+        if self._header.compressed:
+            self._compression = read_compression(self._header)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
         """Return the records with further values; see `MapReader.extend`."""
@@ -149,8 +144,8 @@ class LasReader(MapReader):
         """Set the classes of records; see `MapReader.with_classes`."""
         if self._header.point_format < 6:
             # The other three bits are flags: synthetic, key-point, withheld.
-            records[:, 15] &= np.uint8(0xFF ^ LAST_SHORT_CLASS)
-            records[:, 15] |= classification & np.uint8(LAST_SHORT_CLASS)
+            records[:, 15] &= ~_SHORT_CLASS
+            records[:, 15] |= classification & _SHORT_CLASS
         else:
             records[:, 16] = classification
         return records
@@ -181,25 +176,8 @@ class _RawPoints:
             raise MapFormatError(self._header.path, expected, found, at)
 
 
-def coordinates(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.float64]:
-    """Return the coordinates of raw records, (n, 3), in the map's units."""
-    return Grid(header.scales, header.offsets).coordinates(integers_in_records(records))
-
-
-def _classes(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.uint8]:
-    """Return the ASPRS classes: until point format 5 they share their byte with three flags."""
-    if header.point_format < 6:
-        return records[:, 15] & np.uint8(31)
-    return records[:, 16].copy()
-
-
-def _withheld(records: NDArray[np.uint8], header: LasHeader) -> NDArray[np.bool_]:
-    """Return which points are withheld: one of the flags beside the class."""
-    return (records[:, 15] & np.uint8(128 if header.point_format < 6 else 4)) != 0
-
-
 def _describe(header: LasHeader, notes: tuple[str, ...]) -> MapDescription:
-    kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.block[AT_MINOR_VERSION]}"
+    kind = f"{'LAZ' if header.compressed else 'LAS'} 1.{header.block[At.MINOR_VERSION]}"
     kind = f"{kind}, point format {header.point_format}"
     if header.compressed and _has_copc_index(header):
         kind = f"COPC ({kind})"
@@ -229,14 +207,15 @@ def _notes(header: LasHeader) -> Iterator[str]:
             f"The output is plain {'LAZ' if header.compressed else 'LAS'}: the COPC index (info "
             "VLR and hierarchy EVLR) is left out, since it describes where other points lie."
         )
-    if header.has_waveforms:
-        if header.global_encoding & WAVEFORMS_EXTERNAL:
+    if header.point_format in _WITH_WAVEFORMS:
+        (encoding,) = struct.unpack_from("<H", header.block, At.GLOBAL_ENCODING)
+        if encoding & WAVEFORMS_EXTERNAL:
             yield (
                 "The waveform packets are in a .wdp file beside the input, which is not copied: "
                 "the points keep their places in it."
             )
         elif header.minor_version >= 3 and header.waveforms is None:
-            (start,) = struct.unpack_from("<Q", header.block, AT_WAVEFORMS)
+            (start,) = struct.unpack_from("<Q", header.block, At.WAVEFORMS)
             if start:
                 yield (
                     f"The waveform packets said to start at byte {start} are not there, "
@@ -247,18 +226,13 @@ def _notes(header: LasHeader) -> Iterator[str]:
 def _check_behind_points(
     file: BinaryIO, header: LasHeader, compression: Compression | None
 ) -> tuple[str, ...]:
-    """Refuse points that the header does not count; return notes on other bytes.
-
-    EVLRs and waveform packets have their place behind the points. Of compressed points the chunks
-    are counted; the last points of the last chunk are found missing when it is read, and without
-    chunks it is known where decompression ends, unless there is no point.
-    """
+    """Refuse points that the header does not count; return notes on other bytes."""
     gaps: list[tuple[int, int]] = []
     if compression is None:
         gaps = list(_gaps(header))
     elif compression.has_chunks:
         check_chunk_count(file, header, compression)
-    elif not header.point_count:
+    elif not header.point_count:  # else it is seen where decompression ends
         stop = min([start for start, _ in _known(header)], default=header.file_size)
         gaps = [(header.points_offset, stop)]
     counted, size = f"{header.point_count} points", header.record_length

@@ -8,25 +8,18 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tiling.formats.las.compression import is_laszip_record
 from tiling.formats.las.header import (
-    AT_BOUNDS,
-    AT_COUNT,
-    AT_FIRST_EVLR,
-    AT_GPS_TIME_BOUNDS,
-    AT_LEGACY_COUNT,
-    AT_POINTS_OFFSET,
-    AT_VLR_COUNT,
-    AT_WAVEFORMS,
+    At,
     LasHeader,
     VariableLengthRecord,
 )
-from tiling.formats.las.laz_header import is_laszip_record
-from tiling.formats.parts import PartSummary, PartWriter, copy_spans, integers, member, put_records
+from tiling.formats.parts import PartSummary, PartWriter, Surroundings, integers, member
 from tiling.grid import integers_in_records
 
 _WITHOUT_GPS_TIME = (0, 2)
@@ -112,18 +105,18 @@ class LasSummary(PartSummary):
         first, last = self.gps_time
         if self.minor_version >= 5 and (first <= last or self.count == 0):
             times = (last, first) if self.count else (0.0, 0.0)
-            struct.pack_into("<2d", block, AT_GPS_TIME_BOUNDS, *times)
+            struct.pack_into("<2d", block, At.GPS_TIME_BOUNDS, *times)
 
     def _write_counts(self, block: bytearray, header: LasHeader) -> None:
         """Set both generations of counts; the older stays empty where it was, as 1.4 allows."""
         count, by_return = self.count, self.returns[1:].tolist()
         if self.minor_version >= 4:
-            struct.pack_into("<16Q", block, AT_COUNT, count, *by_return)
-            (legacy,) = struct.unpack_from("<I", block, AT_LEGACY_COUNT)
+            struct.pack_into("<16Q", block, At.COUNT, count, *by_return)
+            (legacy,) = struct.unpack_from("<I", block, At.LEGACY_COUNT)
             unused = header.point_count > 0 and legacy == 0
             if unused or count > 0xFFFFFFFF:
                 count, by_return = 0, [0] * 15
-        struct.pack_into("<6I", block, AT_LEGACY_COUNT, count, *by_return[:5])
+        struct.pack_into("<6I", block, At.LEGACY_COUNT, count, *by_return[:5])
 
     def _write_bounds(self, block: bytearray, header: LasHeader) -> None:
         """Set the bounds; one that is still right keeps its bits, however it was rounded."""
@@ -131,7 +124,7 @@ class LasSummary(PartSummary):
             scale, offset = header.scales[axis], header.offsets[axis]
             ends = [self.highest[axis], self.lowest[axis]]
             for place, end in enumerate(ends if scale > 0 else reversed(ends)):
-                at = AT_BOUNDS + 16 * axis + 8 * place
+                at = At.BOUNDS + 16 * axis + 8 * place
                 value = float(end) * scale + offset if self.count else 0.0
                 (old,) = struct.unpack_from("<d", block, at)
                 if not self.count or not abs(old - value) < abs(scale) / 2:
@@ -143,102 +136,61 @@ def is_copc_index(record: VariableLengthRecord) -> bool:
     return record.names("copc", 1) or record.names("copc", 1000)
 
 
-class LasSurroundings:
-    """The bytes before and after the points of an output: those of an input.
+class LasSurroundings(Surroundings):
+    """The header, VLRs and EVLRs of an input, but for what COPC says of the order of its points.
 
-    That file must still be there when what follows the points is copied. The data of the laszip VLR
-    are those of the output, if they are not the input's.
+    The data of the laszip VLR are those of the output, if they are not the input's.
     """
 
     def __init__(self, header: LasHeader, laszip: bytes | None = None) -> None:
         self._header = header
-        self._block = bytearray(header.block)
+        block = bytearray(header.block)
         if laszip is not None:
             record = next(r for r in header.vlrs if is_laszip_record(r))
             start = record.end - len(record.data)
-            self._block[start : start + len(laszip)] = laszip
-        self._remove_copc_info()
-        self._evlrs = [record for record in header.evlrs if not is_copc_index(record)]
-        # Pieces of the input, from and to, in the order of the output.
-        self._pieces = [(record.start, record.end) for record in self._evlrs]
+            block[start : start + len(laszip)] = laszip
+        dropped = [record for record in header.vlrs if is_copc_index(record)]
+        for record in reversed(dropped):
+            del block[record.start : record.end]
+        struct.pack_into("<I", block, At.VLR_COUNT, len(header.vlrs) - len(dropped))
+        struct.pack_into("<I", block, At.POINTS_OFFSET, len(block))
+        evlrs = [(r.start, r.end) for r in header.evlrs if not is_copc_index(r)]
+        self._evlr_count = len(evlrs)
         waveforms = header.waveforms
-        if waveforms is not None and waveforms[0] not in [start for start, _ in self._pieces]:
-            self._pieces.append(waveforms)
+        if waveforms is not None and waveforms[0] not in [start for start, _ in evlrs]:
+            evlrs.append(waveforms)
+        super().__init__(bytes(block), header.path, after=evlrs)
 
-    @property
-    def points_offset(self) -> int:
-        """Byte of the first point."""
-        return len(self._block)
-
-    def write_header(self, file: BinaryIO) -> None:
-        """Write the input's header and VLRs, which say nothing true of the points yet."""
-        file.write(self._block)
-
-    def write_after_points(self, file: BinaryIO) -> None:
-        """Append EVLRs and waveform packets to a file that stands at the end of the points."""
-        copy_spans(self._header.path, file, self._pieces)
-
-    def completed_header(self, points_end: int, summary: LasSummary) -> bytes:
-        """Return the header and VLRs with what depends on the points.
-
-        EVLRs and waveform packets begin where these end.
-        """
-        block = bytearray(self._block)
-        self._place_what_follows(block, points_end)
-        summary.write_into(block, self._header)
-        return bytes(block)
-
-    def _remove_copc_info(self) -> None:
-        """Take the COPC info VLR out of the block."""
-        for record in reversed([r for r in self._header.vlrs if is_copc_index(r)]):
-            del self._block[record.start : record.end]
-            (count,) = struct.unpack_from("<I", self._block, AT_VLR_COUNT)
-            struct.pack_into("<I", self._block, AT_VLR_COUNT, count - 1)
-        struct.pack_into("<I", self._block, AT_POINTS_OFFSET, len(self._block))
-
-    def _place_what_follows(self, block: bytearray, position: int) -> None:
-        """Note in the header where EVLRs and waveform packets are."""
-        header = self._header
+    def completed(self, points_end: int, summary: LasSummary) -> bytes:
+        """Return the header and VLRs with what depends on the points, and on where these end."""
+        header, position = self._header, points_end
+        block = bytearray(self.head)
         if header.minor_version >= 4:
-            first = position if self._evlrs else 0
-            struct.pack_into("<QI", block, AT_FIRST_EVLR, first, len(self._evlrs))
-        for start, end in self._pieces:
+            first = position if self._evlr_count else 0
+            struct.pack_into("<QI", block, At.FIRST_EVLR, first, self._evlr_count)
+        for start, end in self.after:
             if header.waveforms is not None and start == header.waveforms[0]:
-                struct.pack_into("<Q", block, AT_WAVEFORMS, position)
+                struct.pack_into("<Q", block, At.WAVEFORMS, position)
             position += end - start
+        summary.write_into(block, header)
+        return bytes(block)
 
 
 class LasPartWriter(PartWriter):
-    """Writes raw, uncompressed point records under the header of the file they come from.
+    """Writes raw, uncompressed point records under the header of the file they come from."""
 
-    That file must still be there.
-    """
+    around: LasSurroundings
 
     def __init__(self, path: Path, point_count: int, header: LasHeader) -> None:
-        super().__init__(path, point_count)
+        super().__init__(path, point_count, LasSurroundings(header), header.record_length)
         self._header = header
-        self._surroundings = LasSurroundings(header)
 
     def new_summary(self, first: int) -> LasSummary:
         """Return the summary of a part that has no points yet."""
         return LasSummary.of(self._header, first)
 
-    def put(self, file: BinaryIO, first: int, records: NDArray[np.uint8]) -> None:
-        """Write (n, record_length) records to their places."""
-        put_records(file, self._start_of(first), records)
-
-    def _start_of(self, row: int) -> int:
-        return self._surroundings.points_offset + row * self._header.record_length
-
-    def _write_surroundings(self, file: BinaryIO) -> None:
-        self._surroundings.write_header(file)
-        end = self._start_of(self.point_count)
-        file.truncate(end)
-        file.seek(end)
-        self._surroundings.write_after_points(file)
-
     def _completed_header(self, parts: Sequence[PartSummary]) -> bytes:
         whole = self.new_summary(0)
         for part in parts:
             whole.merge(cast(LasSummary, part))
-        return self._surroundings.completed_header(self._start_of(self.point_count), whole)
+        return self.around.completed(self._start_of(self.point_count), whole)

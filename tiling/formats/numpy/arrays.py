@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.checks import SIGNATURE_LENGTH, kind_of
 from tiling.formats.parts import put_records
-from tiling.formats.points import Field, coordinate_names
+from tiling.formats.points import COORDINATES, Field, coordinate_names
 
 _ALIGNMENT = 64
 _LONGEST_HEADER = 10_000
@@ -41,7 +41,7 @@ class ArrayHeader:
     shape: tuple[int, ...]
     """The first is the number of rows."""
     version: int = 1
-    """1, 2 or 3."""
+    """1, 2 or 3; 0 for values that have no header."""
     size: int = 0
     """Bytes of the header itself."""
 
@@ -103,8 +103,7 @@ class ArrayHeader:
     def has_float_coordinates(self) -> bool:
         """Whether coordinates can be any numbers."""
         names = coordinate_names(self.dtype.names or ())
-        kinds = [self.dtype[name] for name in names] if names else [self.dtype]
-        return all(kind.kind == "f" for kind in kinds)
+        return all(self.dtype[n].kind == "f" for n in names) if names else self.dtype.kind == "f"
 
     @property
     def is_column(self) -> bool:
@@ -114,14 +113,15 @@ class ArrayHeader:
     def __str__(self) -> str:
         return f"{self.dtype} of shape {self.shape}"
 
-    def fields(self, name: str) -> tuple[Field, ...]:
-        """Describe the array, called `name`, as fields of a point."""
-        if not self.dtype.names:
+    def fields(self, name: str | None = None) -> tuple[Field, ...]:
+        """Describe the array, called `name`, as fields of a point; that of points has no name."""
+        if self.dtype.names:
+            kinds = [(each, self.dtype[each]) for each in self.dtype.names]
+            return tuple(Field(each, kind.base.name, prod(kind.shape)) for each, kind in kinds)
+        if name is not None:
             return (Field(name, self.dtype.name, self.row_elements),)
-        return tuple(
-            Field(each, self.dtype[each].base.name, prod(self.dtype[each].shape))
-            for each in self.dtype.names
-        )
+        names = [*COORDINATES, *(f"column {n}" for n in range(4, self.row_elements + 1))]
+        return tuple(Field(each, self.dtype.name) for each in names)
 
     def extended(self, fields: Sequence[Field]) -> "ArrayHeader | None":
         """Return the header of rows with further fields, None where they have no place.
@@ -138,6 +138,8 @@ class ArrayHeader:
 
     def encode(self, row_count: int) -> bytes:
         """Return the header of an array like this one, with `row_count` rows."""
+        if not self.version:
+            return b""
         description = {
             "descr": npy.dtype_to_descr(self.dtype),
             "fortran_order": self.fortran_order,
@@ -223,58 +225,45 @@ def _understood(text: bytes, version: int) -> tuple[tuple[int, ...], bool, np.dt
     return shape, fortran_order, dtype
 
 
+@dataclass(slots=True)
 class RowReader:
     """Reads the rows of an array from the first wanted on, some at a time.
 
     There is a stream for each of `header.column_count`; the same one many times where it can jump
-    about.
+    about. The row is the next one.
     """
 
-    def __init__(
-        self,
-        streams: Sequence[BinaryIO],
-        header: ArrayHeader,
-        path: Path,
-        name: str = "array",
-        first_row: int = 0,
-    ) -> None:
-        self._streams = streams
-        self._header = header
-        self._path = path
-        self._name = name
-        self._row = first_row
+    streams: Sequence[BinaryIO]
+    header: ArrayHeader
+    path: Path
+    name: str
+    row: int
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Read the next rows, (count,) of `header.row_bytes` bytes, elements gathered.
-
-        Raises
-        ------
-        MapFormatError
-            When the values end before.
-        """
-        header = self._header
+        """Read the next rows, (count,) of `header.row_bytes` bytes; refuse an end before."""
+        header = self.header
         columns = header.column_count
         if not header.row_bytes:
             return np.empty(count, dtype="V0")
         width = header.row_bytes // columns
         table = np.empty((count, columns), dtype=f"V{width}")
         for column in range(columns):
-            start = header.size + (column * header.row_count + self._row) * width
-            stream = self._streams[column]
+            start = header.size + (column * header.row_count + self.row) * width
+            stream = self.streams[column]
             stream.seek(start)
             content = stream.read(count * width)
             if len(content) != count * width:
-                expected = f"{header.data_bytes} bytes of {self._name} ({header})"
+                expected = f"{header.data_bytes} bytes of {self.name} ({header})"
                 found = f"the end at byte {start + len(content)}"
-                raise MapFormatError(self._path, expected, found, f"byte {start}")
+                raise MapFormatError(self.path, expected, found, f"byte {start}")
             table[:, column] = np.frombuffer(content, dtype=table.dtype)
-        self._row += count
+        self.row += count
         return table.view(f"V{header.row_bytes}").reshape(count)
 
     def finish(self) -> None:
         """Read on past the last row, upon which an archive compares its checksum."""
-        if self._streams:
-            self._streams[-1].read(1)
+        if self.streams:
+            self.streams[-1].read(1)
 
 
 def put_rows(

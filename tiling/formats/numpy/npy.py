@@ -3,9 +3,8 @@
 Organised ones, (H, W, 3 or more) or (H, W), are read row by row.
 """
 
-from collections.abc import Iterator, Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, SinglePartWriter
+from tiling.formats.base import MapReader
 from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
@@ -22,8 +21,8 @@ from tiling.formats.numpy.arrays import (
     put_rows,
     read_array_header,
 )
-from tiling.formats.parts import PartWriter
-from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, longer_records
+from tiling.formats.parts import PartWriter, Surroundings
+from tiling.formats.points import Field, MapDescription, PointBatch
 
 
 class NpyReader(MapReader):
@@ -68,16 +67,15 @@ class NpyReader(MapReader):
             format=f"NumPy npy {header.version}.0, {order}",
             suffix=".npy",
             point_count=header.row_count,
-            fields=array_fields(header),
+            fields=header.fields(),
             notes=notes,
         )
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
         with self._path.open("rb") as file:
-            reader = RowReader(
-                [file] * header.column_count, header, self._path, first_row=rows.start
-            )
+            streams = [file] * header.column_count
+            reader = RowReader(streams, header, self._path, "array", rows.start)
             for first in range(rows.start, rows.stop, max_points):
                 records = reader.read(min(max_points, rows.stop - first))
                 yield PointBatch(first, header.coordinates(records), records)
@@ -94,33 +92,18 @@ class NpyReader(MapReader):
         """Return what writes several such arrays into one; see `MapReader.merged`."""
         return self if self._header.has_float_coordinates else super().merged()
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of an array like this one; see `MapReader.writer`."""
-        return SinglePartWriter(self.part_writer(path, point_count))
-
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further fields or columns; see `MapReader.extended`."""
-        model = copy(self)
-        header = self._header.extended(fields)
+    def _take_further(self) -> None:
+        header = self._header.extended(self.further)
         if header is None:
             expected = "fields with names, or columns of floating point numbers, to add others to"
             raise MapFormatError(self._path, expected, str(self._header), at="the header")
-        model._header = header
+        self._header = header
         if not header.dtype.names:
             # A column has the type of the others.
-            fields = [replace(field, dtype=header.dtype.name) for field in fields]
-        model.further = tuple(fields)
-        return model
+            self._byte_order = header.dtype.str[0]
+            self.further = tuple(replace(each, dtype=header.dtype.name) for each in self.further)
 
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        """Return the rows with further values; see `MapReader.extend`."""
-        dtype = self._header.dtype
-        return longer_records(
-            batch.records, self.further, values, "<" if dtype.names else dtype.str[0]
-        )
-
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer in parts; see `MapReader.part_writer`."""
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
         return _NpyParts(path, point_count, self._header)
 
 
@@ -128,37 +111,18 @@ class _NpyParts(PartWriter):
     """Writes each row, or each element of it in Fortran order, to its place."""
 
     def __init__(self, path: Path, point_count: int, header: ArrayHeader) -> None:
-        super().__init__(path, point_count)
+        super().__init__(
+            path, point_count, Surroundings(header.encode(point_count)), header.row_bytes
+        )
         self._header = header
 
     def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
         put_rows(file, self._header, self.point_count, first, records)
 
-    def _write_surroundings(self, file: BinaryIO) -> None:
-        start = file.write(self._header.encode(self.point_count))
-        file.truncate(start + self.point_count * self._header.row_bytes)
-
-
-def array_fields(header: ArrayHeader) -> tuple[Field, ...]:
-    """Describe the fields of an array of points, whose columns have no names of their own."""
-    if header.dtype.names:
-        return header.fields("")
-    names = [*COORDINATES, *(f"column {n}" for n in range(4, header.row_elements + 1))]
-    return tuple(Field(name, header.dtype.name) for name in names)
-
 
 _NAMES = ("x", "y", "z", "intensity", "ring")
 _NUSCENES = ".pcd.bin"
 _UNKNOWN = "a file that begins"
-
-
-@dataclass(frozen=True, slots=True)
-class _NoHeader(ArrayHeader):
-    """An array that starts with its first value."""
-
-    def encode(self, row_count: int) -> bytes:
-        del row_count
-        return b""
 
 
 class RawReader(NpyReader):
@@ -180,7 +144,8 @@ class RawReader(NpyReader):
         if size % record:
             expected = f"records of {record} bytes, float32 {', '.join(names)}"
             raise MapFormatError(path, expected, f"{size} bytes, {size % record} too many")
-        self._header = _NoHeader(np.dtype("<f4"), False, (size // record, len(names)))
+        shape = size // record, len(names)
+        self._header = ArrayHeader(np.dtype("<f4"), False, shape, version=0)
         self.bytes_per_point = record
         self.description = MapDescription(
             path=path,
@@ -191,7 +156,7 @@ class RawReader(NpyReader):
             notes=() if size else ("The file has no points.",),
         )
 
-    def extended(self, fields: Sequence[Field]) -> NoReturn:
-        """Refuse: without a header nobody would find further fields."""
+    def _take_further(self) -> NoReturn:
+        # Without a header nobody would find further fields.
         expected = "a format with names for further fields; --labels writes them beside the map"
-        raise MapFormatError(self._path, expected, self.description.format)
+        raise self._refused(expected)

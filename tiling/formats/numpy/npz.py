@@ -5,7 +5,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
-from tiling.formats.checks import SIGNATURE_LENGTH, check_leftover, kind_of
+from tiling.formats.checks import check_leftover, check_signature
 from tiling.formats.numpy.arrays import (
     ArrayHeader,
     RowReader,
@@ -24,7 +23,6 @@ from tiling.formats.numpy.arrays import (
     put_rows,
     read_array_header,
 )
-from tiling.formats.numpy.npy import array_fields
 from tiling.formats.points import COORDINATES, Field, MapDescription, PointBatch, joined, packed
 from tiling.output_file import create_file
 
@@ -95,34 +93,26 @@ class NpzReader(MapReader):
 
     def _batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         with _archive(self._path) as archive, ExitStack() as streams:
-            readers = [
-                RowReader(
-                    [
-                        cast(BinaryIO, streams.enter_context(archive.open(f"{name}.npy")))
-                        for _ in range(header.column_count)
-                    ],
-                    header,
-                    self._path,
-                    f"array {name!r}",
-                    first_row=rows.start,
-                )
-                for name, header in self._columns
-            ]
+            readers = []
+            for name, header in self._columns:
+                opened = [
+                    cast(BinaryIO, streams.enter_context(archive.open(f"{name}.npy")))
+                    for _ in range(header.column_count)
+                ]
+                reader = RowReader(opened, header, self._path, f"array {name!r}", rows.start)
+                readers.append(reader)
             for first in range(rows.start, rows.stop, max_points):
                 records = np.empty(min(max_points, rows.stop - first), dtype=self._dtype)
                 arrays = {}
-                for field, (name, _), reader in zip(
-                    self._dtype.names or (), self._columns, readers, strict=True
-                ):
-                    arrays[name] = reader.read(len(records))
-                    records[field] = arrays[name]
+                for number, (name, _) in enumerate(self._columns):
+                    records[f"array {number}"] = arrays[name] = readers[number].read(len(records))
                 yield PointBatch(first, self._xyz(arrays), records)
             if rows.stop == self.description.point_count:
                 for reader in readers:
                     reader.finish()
 
     def _fields_of(self, name: str, header: ArrayHeader) -> tuple[Field, ...]:
-        return array_fields(header) if [name] == self._coordinates else header.fields(name)
+        return header.fields(None if [name] == self._coordinates else name)
 
     def values(self, records: Any, name: str) -> NDArray[Any]:
         """Return one field, or column, or array of one value a row; see `MapReader.values`."""
@@ -138,16 +128,13 @@ class NpzReader(MapReader):
                 return np.asarray(columns[:, names.index(name)])
         return super().values(records, name)
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer of an archive like this one; see `MapReader.writer`."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
         return _NpzWriter(path, point_count, self._path, self._members)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further arrays; see `MapReader.extended`."""
+    def _take_further(self) -> None:
         taken = {member.name for member in self._members}
-        members = list(self._members)
         first = self._members[0].info
-        for field in fields:
+        for field in self.further:
             if field.name in taken:
                 expected = f"no array {field.name!r}, which is to be added"
                 raise MapFormatError(self._path, expected, "one")
@@ -155,11 +142,7 @@ class NpzReader(MapReader):
             info.compress_type = first.compress_type
             dtype = np.dtype(field.dtype).newbyteorder("<")
             header = ArrayHeader(dtype, False, (0,))
-            members.append(_Member(info, field.name, header, is_per_point=True))
-        model = copy(self)
-        model._members = tuple(members)
-        model.further = tuple(fields)
-        return model
+            self._members += (_Member(info, field.name, header, is_per_point=True),)
 
     def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """Return the rows with those of further arrays; see `MapReader.extend`."""
@@ -184,10 +167,7 @@ class NpzReader(MapReader):
 
 
 class _NpzWriter(MapWriter):
-    """Gathers each array of the points in a nameless temporary file, and then zips them.
-
-    An archive is written one entry after the other, and batches hold some rows of every entry.
-    """
+    """Gathers each array of the points in a temporary file, and zips one after the other."""
 
     def __init__(
         self, path: Path, point_count: int, source: Path, members: tuple[_Member, ...]
@@ -235,10 +215,7 @@ class _NpzWriter(MapWriter):
 @contextmanager
 def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open an archive for reading, and turn what is wrong with it into a `MapFormatError`."""
-    with path.open("rb") as file:
-        start = file.read(SIGNATURE_LENGTH)
-    if not start.startswith(b"PK"):
-        raise MapFormatError(path, "a ZIP archive of NumPy arrays", kind_of(start), at="byte 0")
+    check_signature(path, b"PK", "a ZIP archive of NumPy arrays")
     try:
         with zipfile.ZipFile(path) as archive:
             yield archive

@@ -46,16 +46,9 @@ Bytes = NDArray[np.uint8]
 def decompress(stream: BinaryIO, packed_size: int, size: int, path: Path) -> Iterator[Bytes]:
     """Decompress the next `packed_size` bytes of a stream into `size` bytes, as the file says.
 
-    Yields
-    ------
-    (n,) uint8 array
-        The next bytes, of a buffer that is used again: they must be copied before the next step.
-
-    Raises
-    ------
-    MapFormatError
-        When the data are truncated, point back before their beginning, or give another number of
-        bytes than `size`.
+    They come as (n,) arrays in a buffer that is used again: they must be copied before the next
+    step. Data are refused that are truncated, point back before their beginning, or give another
+    number of bytes than `size`.
     """
     window = np.empty(REACH + BLOCK, dtype=np.uint8)
     filled = kept = produced = 0
@@ -102,10 +95,7 @@ def compress(block: Bytes) -> bytes:
 
 @compiled
 def _decode(packed: Bytes, window: Bytes, filled: int) -> tuple[int, int, int]:
-    """Decode whole instructions while the window has room.
-
-    Returns the compressed bytes used, the bytes of the window that are filled, and the fault.
-    """
+    """Decode while the window has room; return bytes used, bytes of it filled, and the fault."""
     position = 0
     while position < len(packed):
         control = int(packed[position])
@@ -138,10 +128,7 @@ def _decode(packed: Bytes, window: Bytes, filled: int) -> tuple[int, int, int]:
 
 @compiled
 def _encode(block: Bytes, packed: Bytes, latest: NDArray[np.int32]) -> int:
-    """Encode a block greedily and return the number of bytes that it takes.
-
-    `latest` holds, for each hash of three bytes, where these were met last.
-    """
+    """Encode a block greedily; `latest` tells of each hash of three bytes where they were last."""
     position = written = literal = 0
     while position + 2 < len(block):
         triple = (
@@ -200,17 +187,20 @@ class ColumnSpool:
         self._point_count = point_count
         with _blaming_its_folder():
             # Unbuffered, so that a full disk is met where it is written to.
-            self._file = TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `close`
+            self._file = TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `__exit__`
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._file.close()
 
-    def append(self, data: NDArray[np.uint8]) -> None:
+    def append(self, data: bytes) -> None:
         """Write the next bytes of the columns, in the file's order."""
-        self._write(data.tobytes())
+        left = memoryview(data)
+        with _blaming_its_folder():
+            while left:
+                left = left[self._file.write(left) :]
 
     def blocks(self) -> Iterator[NDArray[np.uint8]]:
         """Yield the bytes of all columns, in the file's order."""
@@ -222,7 +212,7 @@ class ColumnSpool:
         """Put the records of consecutive points into their columns."""
         rows = records.view(np.uint8).reshape(len(records), -1)
         for part in self._columns(first_row):
-            self._write(rows[:, part].tobytes())
+            self.append(rows[:, part].tobytes())
 
     def read_points(self, first_row: int, count: int) -> NDArray[np.void]:
         """Gather the records of consecutive points from their columns."""
@@ -240,16 +230,6 @@ class ColumnSpool:
             self._file.seek(start * self._point_count + first_row * width)
             yield slice(start, start + width)
             start += width
-
-    def close(self) -> None:
-        """Remove the file."""
-        self._file.close()
-
-    def _write(self, data: bytes) -> None:
-        left = memoryview(data)
-        with _blaming_its_folder():
-            while left:
-                left = left[self._file.write(left) :]
 
 
 @contextmanager

@@ -22,13 +22,7 @@ LONGEST_HEADER = 1 << 20
 LARGEST_RECORD = 1 << 24
 """Most bytes, or values, of one point."""
 
-ENCODINGS = {
-    "ascii": "ascii",
-    "binary": "binary",
-    "binary_compressed": "binary_compressed",
-    # A slip of the pen in some writers, which readers have learnt to take.
-    "binaryscompressed": "binary_compressed",
-}
+_ENCODINGS = ("ascii", "binary", "binary_compressed")
 
 _TYPES = {
     **{("I", size): f"int{8 * size}" for size in (1, 2, 4, 8)},
@@ -48,13 +42,12 @@ _COUNT_LINE = re.compile(rb"^(\s*(WIDTH|HEIGHT|POINTS)\s+)\d+")
 
 @dataclass(frozen=True, slots=True)
 class PcdField:
-    """One field: `count` values of `size` bytes, the first at byte `offset` of a point's record."""
+    """One field: `count` values of `size` bytes."""
 
     name: str
     dtype: str
     size: int
     count: int
-    offset: int
 
     @property
     def width(self) -> int:
@@ -70,7 +63,6 @@ class PcdHeader:
     """The header as it stands in the file, each line with its ending."""
     fields: tuple[PcdField, ...]
     coordinates: tuple[PcdField, PcdField, PcdField]
-    """x, y and z."""
     width: int
     height: int
     """Points in a row, and rows; a height above 1 makes the cloud an organised one."""
@@ -120,53 +112,36 @@ class PcdHeader:
 
     def extended(self, further: Sequence[Field]) -> "PcdHeader":
         """Return the header of points with further fields of one value each."""
-        fields, offset = list(self.fields), self.record_size
-        for each in further:
-            size = np.dtype(each.dtype).itemsize
-            fields.append(PcdField(each.name, each.dtype, size, 1, offset))
-            offset += size
+        sizes = [np.dtype(each.dtype).itemsize for each in further]
+        added = zip(further, sizes, strict=True)
+        fields = [*self.fields, *(PcdField(each.name, each.dtype, n, 1) for each, n in added)]
         kinds = {dtype: kind for (kind, _), dtype in _TYPES.items()}
+        rows = [(f.name, f"{f.size}", kinds[f.dtype], f"{f.count}") for f in fields]
         # Old files lack some of these lines; with fields of other types they need them.
-        words = {
-            "FIELDS": [field.name for field in fields],
-            "SIZE": [str(field.size) for field in fields],
-            "TYPE": [kinds[field.dtype] for field in fields],
-            "COUNT": [str(field.count) for field in fields],
-        }
+        words = dict(zip(("FIELDS", "SIZE", "TYPE", "COUNT"), zip(*rows, strict=True), strict=True))
         lines: list[bytes] = []
         for line in self.lines:
             keyword = (line.split() or [b""])[0].decode("latin-1").replace("COLUMNS", "FIELDS")
             if keyword == "FIELDS":
-                ending = line[len(line.rstrip()) :]
-                lines += [
-                    f"{name} {' '.join(values)}".encode() + ending for name, values in words.items()
-                ]
+                end = line[len(line.rstrip()) :]
+                lines += [f"{name} {' '.join(row)}".encode() + end for name, row in words.items()]
             elif keyword not in words:
                 lines.append(line)
         return replace(self, lines=tuple(lines), fields=tuple(fields))
 
-    def described_fields(self) -> tuple[Field, ...]:
-        """Return the fields in the terms that all formats share."""
-        return tuple(Field(field.name, field.dtype, field.count) for field in self.fields)
-
 
 def read_header(stream: BinaryIO, path: Path) -> PcdHeader:
-    """Read the header at the beginning of a stream, and leave the stream at the first point.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not the header of a PCD file with x, y and z.
-    """
+    """Read the header of a PCD file with x, y and z, up to the first point; refuse any other."""
     said = _Said(path)
     said.read(stream)
     fields = _fields(said)
     width, height = _extent(said)
     viewpoint = _viewpoint(said)
     word = said.values["DATA"][0]
-    if word.lower() not in ENCODINGS:
+    # Some writers slip, which readers have learnt to take.
+    encoding = word.lower().replace("binaryscompressed", "binary_compressed")
+    if encoding not in _ENCODINGS:
         raise said.wrong("DATA ascii, binary or binary_compressed", repr(_shortened(word)), "DATA")
-    encoding = ENCODINGS[word.lower()]
     coordinates = _coordinates(fields, said)
     return PcdHeader(tuple(said.lines), fields, coordinates, width, height, encoding, viewpoint)
 
@@ -215,21 +190,21 @@ class _Said:
         """Return the error of a keyword's line."""
         return MapFormatError(self.path, expected, found, f"line {self._places[keyword]}")
 
-    def numbers(self, keyword: str, default: int, count: int) -> list[int]:
-        """Return a keyword's numbers, or `count` times the default where it is missing."""
+    def numbers(self, keyword: str, missing: list[int]) -> list[int]:
+        """Return a keyword's numbers, or others where it is missing."""
         for value in self.values.get(keyword, ()):
             # Python would take `1_000`, and digits of other scripts, too.
             if not (value.isascii() and value.isdigit() and len(value) <= 18):
                 expected = f"a whole number after {keyword}"
                 raise self.wrong(expected, repr(_shortened(value)), keyword)
-        return [int(value) for value in self.values.get(keyword, [str(default)] * count)]
+        return [int(value) for value in self.values.get(keyword, missing)]
 
     def number(self, keyword: str) -> int:
         """Return a keyword's only number, 0 where it is missing."""
         found = len(self.values.get(keyword, "0"))
         if found != 1:
             raise self.wrong(f"one value of {keyword}", f"{found}", keyword)
-        return self.numbers(keyword, 0, 1)[0]
+        return self.numbers(keyword, [0])[0]
 
 
 def _fields(said: _Said) -> tuple[PcdField, ...]:
@@ -242,9 +217,9 @@ def _fields(said: _Said) -> tuple[PcdField, ...]:
         if found != len(names):
             expected = f"{len(names)} values of {keyword}, one for each of FIELDS"
             raise said.wrong(expected, f"{found}", keyword)
-    sizes, counts = said.numbers("SIZE", 4, len(names)), said.numbers("COUNT", 1, len(names))
+    sizes, counts = said.numbers("SIZE", [4] * len(names)), said.numbers("COUNT", [1] * len(names))
     types = said.values.get("TYPE", ["F"] * len(names))
-    fields, offset = [], 0
+    fields = []
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
         if (kind.upper(), size) not in _TYPES:
             expected = "TYPE I or U of SIZE 1, 2, 4 or 8, or F of 4 or 8"
@@ -252,11 +227,10 @@ def _fields(said: _Said) -> tuple[PcdField, ...]:
             raise said.wrong(expected, f"{_shortened(kind)} of {size}", keyword)
         if count == 0:
             raise said.wrong("a COUNT of 1 or more", "0", "COUNT")
-        fields.append(PcdField(name, _TYPES[kind.upper(), size], size, count, offset))
-        offset += size * count
-    if offset > LARGEST_RECORD:
+        fields.append(PcdField(name, _TYPES[kind.upper(), size], size, count))
+    if (size := sum(field.width for field in fields)) > LARGEST_RECORD:
         expected = f"points of at most {LARGEST_RECORD} bytes"
-        raise MapFormatError(said.path, expected, f"{offset} bytes")
+        raise MapFormatError(said.path, expected, f"{size} bytes")
     return tuple(fields)
 
 

@@ -13,7 +13,7 @@ decompressed to, and compressed from, a temporary file of the size of its points
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -23,21 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiling.errors import MapFormatError
-from tiling.formats.base import MapReader, MapWriter, SinglePartWriter, TextWriter
+from tiling.formats.base import MapReader, MapWriter, StreamWriter, TextWriter
 from tiling.formats.checks import check_leftover
-from tiling.formats.parts import PartWriter, put_records
+from tiling.formats.parts import PartWriter, Surroundings
 from tiling.formats.pcd.compressed import EXPANSION, ColumnSpool, compress, decompress
-from tiling.formats.pcd.header import PcdField, PcdHeader, read_header
+from tiling.formats.pcd.header import PcdField, read_header
 from tiling.formats.points import (
     Field,
     MapDescription,
     PointBatch,
-    longer_records,
-    longer_rows,
+    numbered,
     only_rows,
 )
 from tiling.formats.text_rows import RowLayout, TextRows, read_rows
-from tiling.output_file import create_file
 
 _SIZES = struct.Struct("<II")
 """What precedes compressed data: their size, and that of the columns."""
@@ -50,7 +48,7 @@ class PcdReader(MapReader):
     """Reads a PCD file."""
 
     def __init__(self, path: Path) -> None:
-        self._path = Path(path)
+        self._path = path
         with self._path.open("rb") as stream:
             self._header = read_header(stream, self._path)
             size = self._path.stat().st_size - self._header.data_offset
@@ -68,12 +66,14 @@ class PcdReader(MapReader):
         # Compressed points are columns.
         self.seekable = self.writes_parts = self._header.encoding == "binary"
         self.sets_values = self._header.encoding != "ascii"
+        if self.sets_values:
+            self.record_dtype = np.dtype(f"V{sum(self._widths)}")
         self.description = MapDescription(
             path=self._path,
             format=f"PCD {self._header.encoding}",
             suffix=".pcd",
             point_count=self._header.point_count,
-            fields=self._header.described_fields(),
+            fields=tuple(Field(each.name, each.dtype, each.count) for each in self._header.fields),
             notes=notes,
             viewpoint=self._header.viewpoint,
         )
@@ -88,34 +88,27 @@ class PcdReader(MapReader):
             return self._binary_batches(max_points, rows)
         return self._compressed_batches(max_points, rows)
 
-    def writer(self, path: Path, point_count: int) -> MapWriter:
-        """Open a writer in the same encoding; only WIDTH, HEIGHT and POINTS will differ."""
+    def _stream_writer(self, path: Path, point_count: int) -> MapWriter:
+        around = Surroundings(self._header.for_points(point_count))
         if self._header.encoding == "ascii":
-            return TextWriter(path, point_count, self._header.for_points(point_count))
-        if self.writes_parts:
-            return SinglePartWriter(self.part_writer(path, point_count))
-        widths = tuple(field.width for field in self._stored)
-        return PcdCompressedWriter(path, point_count, self._header, widths)
+            return TextWriter(path, point_count, around)
+        return _CompressedWriter(path, point_count, around, self._widths)
 
-    def part_writer(self, path: Path, point_count: int) -> PartWriter:
-        """Return a writer in parts of a binary file; see `MapReader.part_writer`."""
-        if not self.writes_parts:
-            return super().part_writer(path, point_count)
-        return PcdBinaryParts(path, point_count, self._header)
+    def _part_writer(self, path: Path, point_count: int) -> PartWriter:
+        around = Surroundings(self._header.for_points(point_count))
+        return PartWriter(path, point_count, around, self._header.record_size)
 
-    def extended(self, fields: Sequence[Field]) -> MapReader:
-        """Return what writes further fields; see `MapReader.extended`."""
-        fields = [replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in fields]
-        model = copy(self)
-        model.further = tuple(fields)
-        model._header = self._header.extended(fields)
-        model._stored = (*self._stored, *model._header.fields[-len(fields) :])
-        return model
+    def _take_further(self) -> None:
+        self.further = tuple(
+            replace(field, dtype=_PCL_TYPES.get(field.name, field.dtype)) for field in self.further
+        )
+        self._header = self._header.extended(self.further)
+        self._stored = (*self._stored, *self._header.fields[-len(self.further) :])
 
-    def extend(self, batch: PointBatch, values: Sequence[NDArray[Any]]) -> Any:
-        """Return the records with further values; see `MapReader.extend`."""
-        longer = longer_rows if self._header.encoding == "ascii" else longer_records
-        return longer(batch.records, self.further, values)
+    @property
+    def _widths(self) -> tuple[int, ...]:
+        """Bytes of each column of compressed data in a record."""
+        return tuple(field.width for field in self._stored)
 
     def _check_size(self, size: int) -> None:
         """Compare the points announced with the bytes that follow the header."""
@@ -129,14 +122,11 @@ class PcdReader(MapReader):
             raise MapFormatError(self._path, expected, str(size), f"byte {header.data_offset}")
 
     def _check_leftover(self, stream: BinaryIO, stop: int) -> tuple[str, ...]:
-        """Refuse points that the header does not count; return notes on other bytes.
-
-        Rows of text are counted when they are read, unless there is none to be read.
-        """
+        """Refuse points that the header does not count; return notes on other bytes."""
         header = self._header
         start, record_size = header.data_offset, header.record_size
         if header.encoding == "ascii":
-            if header.point_count:
+            if header.point_count:  # rows of text are counted when they are read
                 return ()
             record_size = 2 * header.value_count - 1
         elif header.encoding == "binary":
@@ -148,10 +138,7 @@ class PcdReader(MapReader):
         return () if header.encoding == "ascii" else notes
 
     def _check_compressed(self, stream: BinaryIO, size: int) -> tuple[int, tuple[PcdField, ...]]:
-        """Return the size of the compressed data, and the fields that are in them.
-
-        PCL leaves padding fields (`_`) out of the data, and others do not: the size tells.
-        """
+        """Return the size of the compressed data, and the fields that are in them."""
         header = self._header
         at = f"byte {header.data_offset}"
         if header.point_count == 0:
@@ -163,6 +150,7 @@ class PcdReader(MapReader):
         if packed_size > size - _SIZES.size:
             expected = f"{packed_size} compressed bytes"
             raise MapFormatError(self._path, expected, str(size - _SIZES.size), at)
+        # PCL leaves padding fields out of the data, and others do not: the size tells.
         named = tuple(field for field in header.fields if field.name != "_")
         for fields in (header.fields, named):
             if column_size == header.point_count * sum(field.width for field in fields):
@@ -179,15 +167,12 @@ class PcdReader(MapReader):
         header = self._header
         x, y, z = (header.first_value(field) for field in header.coordinates)
         layout = RowLayout(header.value_count, (x, y, z))
-        first_row = 0
+        count, first_line = header.point_count, len(header.lines) + 1
         with self._path.open("rb") as stream:
             stream.seek(header.data_offset)
-            first_line = len(header.lines) + 1
-            for rows, xyz in read_rows(
-                stream, layout, header.point_count, max_points, self._path, first_line
-            ):
-                yield PointBatch(first_row, xyz, rows)
-                first_row += len(rows)
+            yield from numbered(
+                read_rows(stream, layout, count, max_points, self._path, first_line)
+            )
 
     def _binary_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
         header = self._header
@@ -203,14 +188,13 @@ class PcdReader(MapReader):
                 yield self.batch_of(first_row, records)
 
     def _compressed_batches(self, max_points: int, rows: range) -> Iterator[PointBatch]:
-        count = self._header.point_count
-        widths = tuple(field.width for field in self._stored)
+        count, size = self._header.point_count, self._header.point_count * sum(self._widths)
         if count == 0:
             return
-        with self._path.open("rb") as stream, ColumnSpool(widths, count) as spool:
+        with self._path.open("rb") as stream, ColumnSpool(self._widths, count) as spool:
             stream.seek(self._header.data_offset + _SIZES.size)
-            for block in decompress(stream, self._packed_size, count * sum(widths), self._path):
-                spool.append(block)
+            for block in decompress(stream, self._packed_size, size, self._path):
+                spool.append(block.tobytes())
             for first_row in range(rows.start, rows.stop, max_points):
                 records = spool.read_points(first_row, min(max_points, rows.stop - first_row))
                 yield self.batch_of(first_row, records)
@@ -234,16 +218,9 @@ class PcdReader(MapReader):
 
     def _field_of(self, records: NDArray[Any], field: PcdField) -> NDArray[Any]:
         """Return the first value of a field of binary records."""
-        offset = sum(other.width for other in self._stored if other.offset < field.offset)
+        offset = sum(self._widths[: self._stored.index(field)])
         kind = np.dtype(field.dtype).newbyteorder("<")
         return np.asarray(records.getfield(kind, offset))
-
-    @property
-    def record_dtype(self) -> np.dtype[Any] | None:
-        """Bytes, but of an ASCII file; see `MapReader.record_dtype`."""
-        if self._header.encoding == "ascii":
-            return None
-        return np.dtype(f"V{sum(field.width for field in self._stored)}")
 
     def batch_of(self, first_row: int, records: NDArray[Any]) -> PointBatch:
         """Make a batch of binary records; see `MapReader.batch_of`."""
@@ -255,57 +232,32 @@ class PcdReader(MapReader):
         return PointBatch(first_row, xyz, records)
 
 
-class PcdBinaryParts(PartWriter):
-    """Writes records of one size, each to its place."""
-
-    def __init__(self, path: Path, point_count: int, header: PcdHeader) -> None:
-        super().__init__(path, point_count)
-        self._start = header.for_points(point_count)
-        self._record_size = header.record_size
-
-    def put(self, file: BinaryIO, first: int, records: NDArray[np.void]) -> None:
-        """Write records to their places."""
-        put_records(file, len(self._start) + first * self._record_size, records)
-
-    def _write_surroundings(self, file: BinaryIO) -> None:
-        file.write(self._start)
-        file.truncate(len(self._start) + self.point_count * self._record_size)
-
-
-class PcdCompressedWriter(MapWriter):
-    """Collects columns in a temporary file, and compresses them in the end.
-
-    The header is that of the file that serves as the model; widths are bytes of each column in a
-    record.
-    """
+class _CompressedWriter(StreamWriter):
+    """Collects columns of some widths in a temporary file, and compresses them in the end."""
 
     def __init__(
-        self, path: Path, point_count: int, header: PcdHeader, widths: tuple[int, ...]
+        self, path: Path, point_count: int, around: Surroundings, widths: tuple[int, ...]
     ) -> None:
-        super().__init__(path, point_count)
-        self._stream = create_file(path)  # closed by `_finish` and `_abandon`
-        self._stream.write(header.for_points(point_count))
+        super().__init__(path, point_count, around)
         self._column_size = point_count * sum(widths)
         self._spool = ColumnSpool(widths, point_count)
-        self._stored = 0
 
     def _append(self, records: Any) -> None:
-        self._spool.write_points(self._stored, records)
-        self._stored += len(records)
+        self._spool.write_points(self.written - len(records), records)
 
     def _finish(self) -> None:
-        with self._stream, self._spool:
-            sizes_at = self._stream.tell()
-            self._stream.write(_SIZES.pack(0, 0))
+        with self._file, self._spool:
+            sizes_at = self._file.tell()
+            self._file.write(_SIZES.pack(0, 0))
             packed_size = 0
             for block in self._spool.blocks():
-                packed_size += self._stream.write(compress(block))
+                packed_size += self._file.write(compress(block))
             if max(packed_size, self._column_size) >= 1 << 32:
                 found = f"{packed_size} of {self._column_size}"
                 raise MapFormatError(self.path, "compressed data below 4 GiB", found)
-            self._stream.seek(sizes_at)
-            self._stream.write(_SIZES.pack(packed_size, self._column_size))
+            self._file.seek(sizes_at)
+            self._file.write(_SIZES.pack(packed_size, self._column_size))
 
     def _abandon(self) -> None:
-        self._spool.close()
-        self._stream.close()
+        with self._file, self._spool:
+            pass

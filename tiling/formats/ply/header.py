@@ -100,9 +100,7 @@ class PlyHeader:
     owners: tuple[str | None, ...]
     """For each line, the element it declares or belongs to; None for format and remarks."""
     elements: tuple[PlyElement, ...]
-    """In the order of the file."""
     size: int
-    """Bytes of the header."""
 
     @property
     def byte_order(self) -> str:
@@ -145,23 +143,15 @@ class PlyHeader:
         dropped = {element.name for element in self.dropped}
         lines = []
         for line, owner in zip(self.lines, self.owners, strict=True):
-            if owner in dropped:
-                continue
-            if owner == VERTEX and line.split()[0] == b"element":
-                lines.append(re.sub(rb"\d+(\s*)$", b"%d\\1" % vertex_count, line))
-            else:
-                lines.append(line)
-        return b"".join(line + self.line_end for line in lines)
+            if owner not in dropped:
+                counts = owner == VERTEX and line.split()[0] == b"element"
+                own = re.sub(rb"\d+(\s*)$", b"%d\\1" % vertex_count, line) if counts else line
+                lines.append(own + self.line_end)
+        return b"".join(lines)
 
 
 def read_header(file: BinaryIO, path: Path) -> PlyHeader:
-    """Read the header that `file` begins with.
-
-    Raises
-    ------
-    MapFormatError
-        When it is not a PLY header, or not one of a map: no vertices, or none with x, y and z.
-    """
+    """Read the header that a file begins with; refuse one of no vertices."""
     start = file.read(_LONGEST_HEADER)
     if not re.match(rb"ply[ \t]*[\r\n]", start):
         raise MapFormatError(path, "a PLY file", kind_of(start[:SIGNATURE_LENGTH]), at="byte 0")
@@ -212,7 +202,8 @@ class _HeaderParser:
         elif keyword == "format":
             self._format(words)
         elif keyword == "end_header" and len(words) == 1:
-            self._end()
+            self._check_elements()
+            self.ended = True
         elif not (keyword in ("", "comment", "obj_info") or number == 1):
             raise self._error("a keyword of a PLY header", repr(keyword))
         self.owners.append(owner)
@@ -274,10 +265,9 @@ class _HeaderParser:
             raise self._error("a PLY type such as 'float' or 'uint8'", repr(word))
         return np.dtype(_BYTE_ORDERS[self.encoding] + _TYPES[word])
 
-    def _end(self) -> None:
+    def _check_elements(self) -> None:
         if VERTEX not in self._counts:
             raise self._error("an element 'vertex'", "none in the header")
         for name, properties in self._properties.items():
             if self._counts[name] and not properties:
                 raise self._error(f"properties of element {name!r}", "none in the header")
-        self.ended = True

@@ -26,8 +26,11 @@ _MOST_BYTES = 1 << 26
 class PlyRows(ABC):
     """Records from a place in the file on."""
 
-    position: int
-    """Byte at which the next record begins."""
+    def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
+        self._file = file
+        self._path = path
+        self.position = header.size
+        """Byte at which the next record begins."""
 
     @abstractmethod
     def take(
@@ -36,12 +39,7 @@ class PlyRows(ABC):
         """Read the next records, at least one and at most `most`, all of `element`.
 
         Returns them as they stand in the file, and the numbers of the properties asked for,
-        (n, len(names)).
-
-        Raises
-        ------
-        MapFormatError
-            When the file ends before, or a record is not what the header says.
+        (n, len(names)). A record that is not what the header says is refused.
         """
 
     def skip(self, element: PlyElement, count: int | None = None) -> None:
@@ -54,16 +52,14 @@ class PlyRows(ABC):
 def open_rows(file: BinaryIO, header: PlyHeader, path: Path) -> PlyRows:
     """Return the records after the header, for the file's encoding."""
     file.seek(header.size)
-    return (AsciiRows if header.encoding == "ascii" else BinaryRows)(file, header, path)
+    return (_AsciiRows if header.encoding == "ascii" else _BinaryRows)(file, header, path)
 
 
-class AsciiRows(PlyRows):
+class _AsciiRows(PlyRows):
     """Records that are lines of text; blank lines are no records."""
 
     def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
-        self.position = header.size
-        self._file = file
-        self._path = path
+        super().__init__(file, header, path)
         self._line_end = header.line_end
         self._line = len(header.lines) + 1
         self._block = b""
@@ -73,12 +69,11 @@ class AsciiRows(PlyRows):
     def take(
         self, element: PlyElement, most: int, names: Sequence[str] = ()
     ) -> tuple[TextRows, NDArray[np.float64]]:
-        """Read the next lines; see `PlyRows.take`."""
         rows, values = self._rows(element, most, names)
         while not len(rows):
             if not self._refill():
                 expected = f"all {element.count} records of {element.name!r}"
-                self._fail(expected, "the end of the file", self._line)
+                self._fail(expected, "the end of the file")
             rows, values = self._rows(element, most, names)
         for column, name in enumerate(names):
             dtype = element.scalar_dtype[name]
@@ -101,7 +96,7 @@ class AsciiRows(PlyRows):
             size += len(block)
             if size > _LONGEST_LINE:
                 expected = f"a line of at most {_LONGEST_LINE} bytes"
-                self._fail(expected, "a longer one", self._line)
+                self._fail(expected, "a longer one")
         self._block, self._at = b"".join(pieces), 0
         return bool(self._block)
 
@@ -159,9 +154,9 @@ class AsciiRows(PlyRows):
                 at += int(word)
             else:
                 found = _show(word) if word else "the end of the line"
-                self._fail(f"the length of list {each.name!r}", found, self._line)
+                self._fail(f"the length of list {each.name!r}", found)
         if at != len(row):
-            self._fail(f"{at} values in a row of {element.name!r}", f"{len(row)}", self._line)
+            self._fail(f"{at} values in a row of {element.name!r}", f"{len(row)}")
         return scalars
 
     def _number(self, word: bytes) -> float:
@@ -169,28 +164,25 @@ class AsciiRows(PlyRows):
             # float() takes 1_000, which no file format means.
             return float(word.replace(b"_", b"?"))
         except ValueError:
-            self._fail("a number", _show(word), self._line)
+            self._fail("a number", _show(word))
 
-    def _fail(self, expected: str, found: str, line: int) -> NoReturn:
-        raise MapFormatError(self._path, expected, found, at=f"line {line}")
+    def _fail(self, expected: str, found: str) -> NoReturn:
+        raise MapFormatError(self._path, expected, found, at=f"line {self._line}")
 
 
-class BinaryRows(PlyRows):
+class _BinaryRows(PlyRows):
     """Records that are packed bytes."""
 
     def __init__(self, file: BinaryIO, header: PlyHeader, path: Path) -> None:
-        self.position = header.size
-        self._file = file
-        self._path = path
+        super().__init__(file, header, path)
         self._size = os.fstat(file.fileno()).st_size
 
     def take(
         self, element: PlyElement, most: int, names: Sequence[str] = ()
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Read the next records; see `PlyRows.take`."""
         if element.is_fixed:
-            records = self._fixed(element, most)
-            scalars = records
+            content = bytearray(self._read(element, most * element.least_bytes))
+            scalars = records = np.frombuffer(content, dtype=element.scalar_dtype)
         else:
             records, scalars = self._listed(element, most)
         values = np.empty((len(records), len(names)))
@@ -200,7 +192,6 @@ class BinaryRows(PlyRows):
         return records, values
 
     def skip(self, element: PlyElement, count: int | None = None) -> None:
-        """Pass over records of `element`, by their size where that is known."""
         if not element.is_fixed:
             super().skip(element, count)
             return
@@ -210,10 +201,6 @@ class BinaryRows(PlyRows):
             self._end_of_file(element, end)
         self._file.seek(end)
         self.position = end
-
-    def _fixed(self, element: PlyElement, most: int) -> NDArray[Any]:
-        content = bytearray(self._read(element, most * element.least_bytes))
-        return np.frombuffer(content, dtype=element.scalar_dtype)
 
     def _listed(self, element: PlyElement, most: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Read records with lists, and the numbers outside the lists packed together."""
