@@ -112,7 +112,9 @@ def decide_again(
         kept = _read_kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
         if restore:
             areas = _areas_of_places(collection, report, kept, restore, observer)
-            configuration = _protecting(configuration, areas)
+            protect = (*configuration.removal.protect, *areas)
+            removal = configuration.removal.model_copy(update={"protect": protect})
+            configuration = configuration.model_copy(update={"removal": removal})
         cleaned = _Decision(collection, configuration, report, kept, staging, observer).made()
         places = make_places(names, staging)
         scores = scores_of(kept, configuration)
@@ -172,12 +174,6 @@ def _check_content(collection: MapCollection, report: RunReport, observer: Stage
         raise InputChangedError(f"{collection.name}: the map changed since it was cleaned")
     if report.poses_hash not in (None, collection.poses and collection.poses.hashed()):
         raise InputChangedError(f"{collection.name}: its poses changed since it was cleaned")
-
-
-def _protecting(configuration: Configuration, areas: Sequence[Area]) -> Configuration:
-    protect = (*configuration.removal.protect, *areas)
-    removal = configuration.removal.model_copy(update={"protect": protect})
-    return configuration.model_copy(update={"removal": removal})
 
 
 def _check_places(report: RunReport, numbers: Sequence[int]) -> None:

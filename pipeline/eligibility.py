@@ -5,7 +5,7 @@ Neither do those that cannot be measured, nor those that LAS marks as noise or a
 that are not finite, and no tile has them; in the outputs they are where they were.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -81,21 +81,19 @@ def warn_of_left_out(
     count: int, outside: int, parameters: InputParameters, observer: Observer
 ) -> None:
     """Say how many points are left out, if any are: those outside the window apart."""
-    window = [f"more than {RIM:g} m outside the window"] if parameters.has_window else []
     classes = ", ".join(map(str, parameters.leave_out))
-    marks = [f"of class {classes}"] if classes else []
-    marks += ["withheld"] if parameters.leave_out_withheld else []
-    _say_left_out(outside, window, "input.window", observer)
-    _say_left_out(count - outside, marks, "input.leave_out", observer)
-
-
-def _say_left_out(count: int, marks: Sequence[str], keys: str, observer: Observer) -> None:
-    if count:
-        points = "1 point is" if count == 1 else f"{count:,} points are"
-        observer.warn(
-            f"{points} {' or '.join(marks)}: left out of the decision, labelled unscored, kept in "
-            f"place ({keys})"
-        )
+    marked = [f"of class {classes}"] if classes else []
+    marked += ["withheld"] if parameters.leave_out_withheld else []
+    for some, why, key in (
+        (outside, f"more than {RIM:g} m outside the window", "input.window"),
+        (count - outside, " or ".join(marked), "input.leave_out"),
+    ):
+        if some:
+            points = "1 point is" if some == 1 else f"{some:,} points are"
+            observer.warn(
+                f"{points} {why}: left out of the decision, labelled unscored, kept in place "
+                f"({key})"
+            )
 
 
 def check_parts(

@@ -234,10 +234,7 @@ class _Part:
         inside = window.holds(batch.xyz) & np.isfinite(batch.xyz).all(axis=1)
         self.inside += int(np.count_nonzero(inside))
         ranks = _ranks(batch.first_row, len(batch.xyz))
-        chosen = inside & (ranks < self._limit)
-        if chosen.any():
-            self._held.append((file, _selected(batch, chosen), ranks[chosen]))
-            self.count += int(np.count_nonzero(chosen))
+        self._hold(file, batch, ranks, inside & (ranks < self._limit))
         while self.count > 2 * self._most:
             self._keep_below(self._limit / 2)
 
@@ -261,14 +258,15 @@ class _Part:
         self._limit, held, self.count = limit, self._held, 0
         self._held = []
         for file, batch, ranks in held:
-            chosen = ranks < limit
-            if chosen.any():
-                self._held.append((file, _selected(batch, chosen), ranks[chosen]))
-                self.count += int(np.count_nonzero(chosen))
+            self._hold(file, batch, ranks, ranks < limit)
 
-
-def _selected(batch: PointBatch, chosen: NDArray[np.bool_]) -> PointBatch:
-    return PointBatch(batch.first_row, batch.xyz[chosen], batch.select(chosen))
+    def _hold(
+        self, file: int, batch: PointBatch, ranks: NDArray[np.float64], chosen: NDArray[np.bool_]
+    ) -> None:
+        if chosen.any():
+            some = PointBatch(batch.first_row, batch.xyz[chosen], batch.select(chosen))
+            self._held.append((file, some, ranks[chosen]))
+            self.count += len(some.xyz)
 
 
 def _ranks(first_row: int, count: int) -> NDArray[np.float64]:
