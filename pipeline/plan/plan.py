@@ -47,8 +47,8 @@ _SCORE_BYTES = 40
 """More, where scores are written; what evidence is weighed by is mostly gone by then."""
 
 _EVIDENCE_BYTES = 50
-"""More, where evidence is weighed, at most: spread, terms that are kept, voxels; of all maps that we
-have, a campus takes most: 47."""
+"""More, where evidence is weighed, at most: spread, terms that are kept, voxels. They are
+compressed: of the maps that this was measured on, a campus takes most, 47."""
 
 _SCAN_BYTES = 20
 """More, where scans are known, at most: their numbers, returns, marks, and further terms."""
