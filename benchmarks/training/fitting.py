@@ -209,14 +209,16 @@ def averaged(models: Sequence[Stored]) -> Stored:
     def shared(node: list[Any]) -> list[Any]:
         return [*node[:-1], round(node[-1] / len(models), 6)]
 
-    quick = models[0].get("quick", 0)
+    quick = models[0].get("quick", 0)  # a second round has no stages
     stages = [slice(None, quick), slice(quick, None)]
     trees = [tree for stage in stages for model in models for tree in model["trees"][stage]]
-    return models[0] | {
-        **({"quick": quick * len(models)} if quick else {}),
+    mean = models[0] | {
         "baseline": sum(model["baseline"] for model in models) / len(models),
         "trees": [[shared(node) for node in tree] for tree in trees],
     }
+    if quick:
+        mean["quick"] = quick * len(models)
+    return mean
 
 
 def fit_second(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms) -> Stored:
