@@ -1,6 +1,6 @@
 """What tiles cost: the same map as one tile and as many, with one worker and with two.
 
-    python -m benchmarks.tiled_run [MAP] [--rounds 3] [--max-points 1000000]
+    python -m benchmarks.tiled_run [MAP] [--rounds 3] [--max-points 1000000] [--config paper]
 
 Runs the whole command in turn, in processes of their own: the map as one tile with two threads, in
 tiles with two workers, and in tiles with one worker. Prints medians of the wall times, and of the
@@ -38,13 +38,15 @@ def main() -> None:
     parser.add_argument("map", nargs="?", type=Path, default=default)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--max-points", type=int, default=1_000_000)
+    parser.add_argument("--config", default="paper", help="a ready configuration")
     arguments = parser.parse_args()
-    print(f"{date.today()}, {machine()}")
+    print(f"{date.today()}, {machine()}; {arguments.config}")
+    ready = ["-c", arguments.config]
     tiles = ["--set", f"tiling.max_points={arguments.max_points}"]
     kinds = {
-        "one tile, two threads": [*ONE_TILE, "--set", "execution.workers=2"],
-        "tiles, two workers": [*tiles, "--set", "execution.workers=2"],
-        "tiles, one worker": [*tiles, "--set", "execution.workers=1"],
+        "one tile, two threads": [*ready, *ONE_TILE, "--set", "execution.workers=2"],
+        "tiles, two workers": [*ready, *tiles, "--set", "execution.workers=2"],
+        "tiles, one worker": [*ready, *tiles, "--set", "execution.workers=1"],
     }
     for settings in kinds.values():
         seconds(arguments.map, settings)
@@ -69,7 +71,7 @@ def seconds(path: Path, settings: list[str]) -> float:
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": ""}
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()
-        command = [*COMMAND, str(path), "-c", "paper", *settings, "-o", folder]
+        command = [*COMMAND, str(path), *settings, "-o", folder]
         subprocess.run(command, check=True, capture_output=True, env=environment)
         return time.perf_counter() - begun
 

@@ -57,8 +57,8 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     everywhere = Region(np.full(2, -np.inf), np.full(2, np.inf))
     for box in divided(everywhere, xyz, sides):
         own = box.holds(xyz)
-        voxels = _around(job, tile, box, "spread", VOXELS, kind)
-        surroundings = Surroundings.of(about_middles(voxels, -1), scan_views(job))
+        voxels = about_middles(_around(job, tile, box, "spread", VOXELS, kind), -1)
+        surroundings = Surroundings.of(voxels, scan_views(job))
         del voxels
         found.put(own, model.first_round(points.part(own), k, surroundings))
     odds = summarise_odds(xyz, found.log_odds)

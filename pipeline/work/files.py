@@ -163,7 +163,15 @@ def _places(path: Path, stream: BinaryIO, names: Sequence[str]) -> list[_Place]:
                 raise ValueError("expected an array that the file holds whole")
             places[name] = place
         return [places[name] for name in names]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError):
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+        OSError,
+    ):
         raise _damaged(path, *names) from None
 
 
@@ -173,7 +181,7 @@ def _read(path: Path, stream: BinaryIO, place: _Place) -> NDArray[Any]:
     if place.is_compressed:
         try:
             content = _CODEC.decompress(stream.read(place.size), place.full_size)
-        except (OSError, ValueError):
+        except (OSError, ValueError, OverflowError):
             raise _damaged(path) from None
         values = np.frombuffer(bytearray(content), place.kind)
     else:

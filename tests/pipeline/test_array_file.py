@@ -70,6 +70,14 @@ def test_damage_within_what_is_compressed_is_named(tmp_path):
         read_arrays(path, "rows")
 
 
+def test_a_head_that_counts_more_than_there_can_be_is_refused(tmp_path):
+    path = tmp_path / "task.arrays"
+    write_arrays(path, {"rows": np.zeros(100_000)})
+    path.write_bytes(path.read_bytes().replace(b"(100000,), }" + b" " * 19, b"(%d,), }" % 10**24))
+    with pytest.raises(WorkError, match="found a damaged file"):
+        read_arrays(path, "rows")
+
+
 @pytest.mark.parametrize(
     "damage", [lambda data: data[:-100], lambda data: b"x" + data, lambda _: b""]
 )
@@ -104,6 +112,7 @@ def test_an_array_that_was_not_kept_is_named(tmp_path):
         {"rows": 1},
         {"rows": -1},
         {"rows": "8"},
+        {"rows": 1 << 80},
         ["rows"],
         7,
     ],
