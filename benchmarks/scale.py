@@ -1,16 +1,19 @@
 """Memory, temporary files and time of maps of 10 and of 100 million points, cleaned in tiles.
 
     python -m benchmarks.scale [--points 10000000 100000000] [--folder DIR] [--workers 2]
+    python -m benchmarks.scale --maps MAP [MAP ...] [--config auto] [--max-points 500000]
 
-Makes each map with `dynahull-pipeline simulate --points N`, unless it is there, and cleans it in
-tiles of a million points (`--max-points`). Prints for each the wall time, microseconds a point,
-the most that its temporary files took, and the most memory that all processes of the run held
-together: anonymous and shared pages, as the page cache of files is the system's to give and take.
+Makes each map with `dynahull-pipeline simulate --points N`, unless it is there, or takes maps that
+are given, and cleans it in tiles of a million points (`--max-points`). Prints for each the wall
+time, microseconds a point, the most that its temporary files took, and the most memory that all
+processes of the run held together: anonymous and shared pages, as the page cache of files is the
+system's to give and take.
 Asked of 100 million points: at most 1.5 GiB, 10 GB of temporary files, and 1.15 times the time a
 point of 10 million.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -35,29 +38,39 @@ def main() -> None:
     """Make and clean the maps, and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, nargs="+", default=[10_000_000, 100_000_000])
+    parser.add_argument("--maps", type=Path, nargs="+", help="maps to clean instead of these")
     parser.add_argument("--folder", type=Path, default=Path("scale"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--max-points", type=int, default=1_000_000)
     parser.add_argument("--config", default="paper", help="a ready configuration")
     arguments = parser.parse_args()
     print(f"{date.today()}, {machine()}; {arguments.workers} workers")
-    for points in arguments.points:
-        folder = arguments.folder / str(points)
-        if not (folder / "map.pcd").exists():
-            make = ["simulate", "-o", str(folder), "--points", str(points)]
-            subprocess.run([*COMMAND, *make], check=True, capture_output=True)
+    made = (simulated(arguments.folder / str(points), points) for points in arguments.points)
+    for path in arguments.maps or made:
+        folder = arguments.folder / path.stem if arguments.maps else path.parent
+        folder.mkdir(parents=True, exist_ok=True)
         settings = ["--set", f"execution.workers={arguments.workers}"]
         settings += ["--set", f"tiling.max_points={arguments.max_points}"]
-        clean = ["run", str(folder / "map.pcd"), "-o", str(folder / "out"), *settings]
+        clean = ["run", str(path), "-o", str(folder / "out"), *settings]
         clean += ["-c", arguments.config]
         work = folder / "out" / WORK_FOLDER
         seconds, peak, used, files = measured([*COMMAND, *clean], folder / "log", work)
+        points = json.loads((folder / "out" / "run.json").read_text())["points"]
         print(
-            f"{points:>13,} points: {seconds:7.1f} s, {seconds / points * 1e6:.2f} us a point; "
+            f"{path.name}, {points:,} points: {seconds:7.1f} s, "
+            f"{seconds / points * 1e6:.2f} us a point; "
             f"of processors {used / points * 1e6:.2f} us a point; peak {peak / 2**30:.2f} GiB; "
             f"temporary files {files / 1e9:.2f} GB, {files / points:.0f} bytes a point",
             flush=True,
         )
+
+
+def simulated(folder: Path, points: int) -> Path:
+    """Return a map of so many points in a folder, made unless it is there."""
+    if not (folder / "map.pcd").exists():
+        make = ["simulate", "-o", str(folder), "--points", str(points)]
+        subprocess.run([*COMMAND, *make], check=True, capture_output=True)
+    return folder / "map.pcd"
 
 
 def measured(command: list[str], log: Path, work: Path) -> tuple[float, int, float, int]:
