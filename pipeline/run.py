@@ -19,6 +19,7 @@ from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.in_memory import clean_in_memory
 from pipeline.outputs.folder import OutputNames, default_folder, output_folder
+from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import check_mode
 from pipeline.outputs.run_report import RunReport
 from pipeline.outputs.thinning import write_thinned
@@ -41,7 +42,7 @@ from pipeline.report_page.page import Views, render_page
 from pipeline.scan_numbers import check_time
 from pipeline.showing import only_showing
 from pipeline.tiles.cleaning import clean_tiles, find_times
-from pipeline.tiles.labelling import SCORES, gather_decision, gather_sample, tile_work
+from pipeline.tiles.labelling import SCORES, gather_decision, seen_by_scans, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
 from pipeline.units import open_collection
@@ -148,14 +149,14 @@ def _clean_in_tiles(
     find_times(job, collection, observer)
     observer.finish()  # workers may be long in coming
     with workers_for(job) as executor:
-        counts, clusters = clean_tiles(
+        counts, clusters, sample = clean_tiles(
             job, executor, observer, lambda plan: check_plan(plan, job.configuration, job.root)
         )
         labels = open_rows(job.rows_path("label"), np.uint8)
         decision = gather_decision(job)
         views, tiles = None, None
         if job.configuration.output.report == "html":
-            views = partial(_views, job, clusters, decision)
+            views = partial(_views, job, sample, clusters, decision)
             tiles = tile_work(job)
         output = job.configuration.output
         rows = {"label": labels}
@@ -179,8 +180,10 @@ def _clean_in_tiles(
     )
 
 
-def _views(job: Job, clusters: Sequence[ClusterSummary], decision: Decision) -> Views:
-    return Views.of(gather_sample(job), clusters, job.configuration.removal, decision)
+def _views(
+    job: Job, sample: MapSample, clusters: Sequence[ClusterSummary], decision: Decision
+) -> Views:
+    return Views.of(seen_by_scans(job, sample), clusters, job.configuration.removal, decision)
 
 
 def _write_in_parts(

@@ -96,18 +96,8 @@ class MapSample:
         counts = views.count(cells, FINEST, threads)[numbers]
         return replace(self, scan=scan, met=counts[:, MET], through=counts[:, THROUGH])
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the sample as arrays, for a file that hands it from a task to the run.
-
-        Of scans it says nothing: they are known once all tiles are there.
-        """
-        return {f"shown_{name}": getattr(self, name) for name in _COLUMNS}
-
 
 _COLUMNS = ("rows", "xyz", "labels", "cluster", "density", "score")
-
-ARRAY_NAMES = tuple(f"shown_{name}" for name in _COLUMNS)
-"""Of what `MapSample.to_arrays` returns, in the order of the attributes."""
 
 
 def sampled_rows(total: int) -> NDArray[np.int64]:

@@ -13,6 +13,7 @@ from dynahull.ground.reach import points_around
 from pipeline.configuration.quantities import in_time, in_units
 from pipeline.configuration.run import Configuration
 from pipeline.errors import PlanError
+from pipeline.outputs.map_sample import MOST_POINTS
 from pipeline.plan.resources import (
     BASE_BYTES,
     EVIDENCE_BYTES,
@@ -36,25 +37,22 @@ _PIECE_BYTES = 32
 _CHUNK_BYTES = {"parquet": 24, "las": 40, "laz": 40}
 """The same in chunks, at most."""
 
-_COLUMN_BYTES, _LABEL_BYTES = 8, 14
-"""A point of the map in what tasks keep of it once the pieces are gone, at most: columns; later,
-when these are gone too, densities and labels."""
+_COLUMN_BYTES, _DENSITY_BYTES, _LABEL_BYTES, _ROWS_BYTES = 8, 12, 2, 17
+"""A point of the map in what tasks keep of it once the pieces are gone, at most: columns; cluster
+and density; labels; the files of scores by row, where they are written."""
 
 _FREE_BYTES, _FREE_BYTES_OF_LAZ = 33, 20
-"""Beside the columns, a ground-free point, at most; coordinates of LAZ compress."""
+"""A ground-free point until the densities are found, at most; coordinates of LAZ compress."""
 
-_SCORE_BYTES = 40
-"""More, where scores are written; what evidence is weighed by is mostly gone by then."""
-
-_EVIDENCE_BYTES = 50
-"""More, where evidence is weighed, at most: spread, terms that are kept, voxels. They are
-compressed: of the maps that this was measured on, a campus takes most, 47."""
+_SPREAD_BYTES, _EVIDENCE_BYTES, _SCORE_BYTES = 32, 18, 5
+"""A point where evidence is weighed, at most: spread and sums over voxels; what the first look
+leaves; score and reason. All is compressed; these are the most of the maps measured."""
 
 _SCAN_BYTES = 20
 """More, where scans are known, at most: their numbers, returns, marks, and further terms."""
 
-_SAMPLE_BYTES, _SAMPLED = 80, 300_000
-"""A point, of so many, that clusters are fitted on or that the report shows."""
+_FITTED_BYTES, _SHOWN_BYTES = 32, 24
+"""A point that clusters are fitted on; one that the report shows."""
 
 _MICROSECONDS_A_POINT = 8.0
 """Of the core; on one worker of a machine of 2023."""
@@ -170,17 +168,8 @@ def make_plan(
     core, all_held = int(layout.counts.sum()), int(held.sum())
     weighs = configuration.removal.weighs_evidence
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
-    weighed = _EVIDENCE_BYTES if weighs else 0
-    written = _SCORE_BYTES if configuration.output.needs_scores else 0
-    later = core * (_LABEL_BYTES + max(weighed, written)) + min(core, _SAMPLED) * _SAMPLE_BYTES
-    images = 0
-    if viewpoints is not None:
-        later, images = later + core * _SCAN_BYTES + viewpoints * IMAGE_BYTES, HELD_BYTES
-    chunks = all_held * _CHUNK_BYTES[configuration.tiling.format]
-    decoded = bytes_kept(collection)
-    free = _FREE_BYTES_OF_LAZ if decoded else _FREE_BYTES
-    most = max(all_held * _PIECE_BYTES, core * (_COLUMN_BYTES + free), later)
-    disk = chunks + most + decoded
+    images = 0 if viewpoints is None else HELD_BYTES
+    disk = _disk_of(collection, configuration, core, all_held, len(held), viewpoints)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     seconds += len(held) * _MICROSECONDS_A_TILE
     return Plan(
@@ -195,6 +184,38 @@ def make_plan(
         output_size=output_size(collection, configuration),
         seconds=seconds / 1e6 / workers,
     )
+
+
+def _disk_of(
+    collection: MapCollection,
+    configuration: Configuration,
+    core: int,
+    all_held: int,
+    tiles: int,
+    viewpoints: int | None,
+) -> int:
+    """Return the bytes that temporary files take at most, in the stage that most lie there."""
+    decoded = bytes_kept(collection)
+    clustering = configuration.clustering
+    samples = tiles if clustering.scope == "tile" else 1
+    fitted = min(core, samples * clustering.sample) * _FITTED_BYTES
+    weighs = configuration.removal.weighs_evidence
+    spread, evidence, score = (
+        each if weighs else 0 for each in (_SPREAD_BYTES, _EVIDENCE_BYTES, _SCORE_BYTES)
+    )
+    rows = _ROWS_BYTES if configuration.output.needs_scores else 0
+    shown = min(core, MOST_POINTS) * _SHOWN_BYTES if configuration.output.report == "html" else 0
+    free = _FREE_BYTES_OF_LAZ if decoded else _FREE_BYTES
+    most = max(
+        all_held * _PIECE_BYTES,
+        core * (_COLUMN_BYTES + free) + fitted,
+        core * (free + spread + _DENSITY_BYTES) + (fitted if clustering.scope == "tile" else 0),
+        core * (spread + evidence + _DENSITY_BYTES),
+        core * (evidence + _DENSITY_BYTES + _LABEL_BYTES + score + rows) + shown,
+    )
+    if viewpoints is not None:
+        most += core * _SCAN_BYTES + viewpoints * IMAGE_BYTES
+    return decoded + all_held * _CHUNK_BYTES[configuration.tiling.format] + most
 
 
 def halo_width(layout: Layout, occupancy: Occupancy, k: int) -> float:

@@ -22,6 +22,7 @@ from dynahull.warn import (
 )
 from pipeline.eligibility import check_parts, survey_of_others
 from pipeline.errors import ConfigurationError, PlanError
+from pipeline.outputs.map_sample import MapSample
 from pipeline.plan.plan import Plan, make_plan
 from pipeline.progress import StageObserver
 from pipeline.scan_numbers import find_scans
@@ -45,6 +46,7 @@ from pipeline.work.job import (
     CLUSTERS_FILE,
     FITTING,
     PLANNING,
+    SAMPLE,
     SCANS_FILE,
     TIMING,
     VIEWPOINTS_FILE,
@@ -64,7 +66,7 @@ _SURVEY_NAMES = ("point_counts", "bounds", "cell", "columns", "counts")
 
 def clean_tiles(
     job: Job, executor: Executor, observer: StageObserver, check: Callable[[Plan], None]
-) -> tuple[dict[str, int], tuple[ClusterSummary, ...]]:
+) -> tuple[dict[str, int], tuple[ClusterSummary, ...], MapSample]:
     """Label every point of a map that is cut into tiles.
 
     Labels, clusters and densities are in files, a value a row. `check` is told of the plan before
@@ -75,6 +77,8 @@ def clean_tiles(
     counts : dict of str to int
         Points of each label.
     clusters : tuple of ClusterSummary
+    sample : MapSample
+        The points that the report shows.
     """
     plan_tiles(job, executor, observer, check)
     place = job.store.layout.typical_place()
@@ -84,8 +88,10 @@ def clean_tiles(
     tiles = job.store.layout.counts.tolist()
     _set_ground_aside(job, executor, observer, tiles)
     find_clusters(job, observer)
+    job.remove_spent(SAMPLE)
     counts = _counted(job, do_stage(job, executor, observer, "density", tiles))
-    job.remove_spent("free")
+    for spent in ("free", SAMPLE):
+        job.remove_spent(spent)
     if job.configuration.removal.weighs_evidence:
         draw_range_images(job)
         reports = do_stage(job, executor, observer, "evidence", tiles)
@@ -108,7 +114,7 @@ def clean_tiles(
     clusters = _summaries(job, counts, percentages, cuts, removed)
     if job.configuration.removal.weighs_evidence:
         warn_of_much_removed(clusters, observer)
-    return {label.title: int(found[label]) for label in Label}, clusters
+    return {label.title: int(found[label]) for label in Label}, clusters, results.sample()
 
 
 def find_times(job: Job, collection: MapCollection, observer: StageObserver) -> None:
@@ -217,7 +223,7 @@ def _fitted(job: Job, observer: StageObserver) -> Clusters:
     observer.stage("clustering", sum(counts))
     xyz, rows = np.empty((0, 3)), np.empty(0, np.int64)
     for tile in tiles:
-        more_xyz, more_rows = job.work.load(job.labelling, tile, *SAMPLE_NAMES)
+        more_xyz, more_rows = job.work.load(SAMPLE, tile, *SAMPLE_NAMES)
         xyz, rows = np.concatenate([xyz, more_xyz]), np.concatenate([rows, more_rows])
         # A sample of samples is the sample of the whole: so it never grows.
         chosen = sample_rows(rows, job.finite_count, parameters)

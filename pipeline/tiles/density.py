@@ -25,7 +25,7 @@ from pipeline.tiles.free_points import TilesAround
 from pipeline.tiles.ground import SAMPLE_NAMES, labelled_points, own_rows, region_of
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.folder import TaskReport
-from pipeline.work.job import Job
+from pipeline.work.job import SAMPLE, Job
 from tiling.chunks import Chunk
 
 VOXELS = "voxels"
@@ -156,7 +156,7 @@ def clusters_of(job: Job, tile: int) -> Clusters:
     """Return the model of the map, or fit that of a tile on the sample of its points."""
     if job.configuration.clustering.scope == "map":
         return job.clusters
-    sample, _ = job.work.load(job.labelling, tile, *SAMPLE_NAMES)
+    sample, _ = job.work.load(SAMPLE, tile, *SAMPLE_NAMES)
     return fit_clusters(sample, job.configuration.clustering)
 
 

@@ -22,10 +22,10 @@ from pipeline.tiles.free_points import save_free_points
 from pipeline.tiles.nearest import FreePoints
 from pipeline.work.files import open_rows
 from pipeline.work.folder import TaskReport
-from pipeline.work.job import Job
+from pipeline.work.job import SAMPLE, Job
 from tiling.chunks import Chunk, read_chunk, read_rows
 
-SAMPLE_NAMES = ("sample_xyz", "sample_rows")
+SAMPLE_NAMES = ("xyz", "rows")
 LABELS = "labels"
 _LEVELS, _OUTLINES, _FLOORS = "levels", "outlines", "floors"
 
@@ -56,8 +56,7 @@ def find_ground(job: Job, tile: int, sides: int = 1) -> TaskReport:
         floors = height_summary(of_ground.xyz, of_ground.core, job.configuration.ground)
         arrays |= floors.to_arrays(_FLOORS)
     if job.labelling == "ground":
-        arrays |= _sample(job, chunk, labels)
-        save_free_points(job, tile, _own(chunk, labels))
+        _save_scored(job, tile, _own(chunk, labels))
     job.work.save("ground", tile, **arrays)
     count = int(job.store.layout.counts[tile])
     return TaskReport(count, (int(np.count_nonzero(ground & chunk.core)),))
@@ -71,8 +70,8 @@ def find_high(job: Job, tile: int) -> TaskReport:
     limit = job.configuration.max_height
     height = heights_of(job, tile, chunk.xyz[free])
     labels[free[height > (np.inf if limit is None else limit)]] = Label.ABOVE
-    save_free_points(job, tile, _own(chunk, labels))
-    job.work.save("height", tile, **{LABELS: labels}, **_sample(job, chunk, labels))
+    _save_scored(job, tile, _own(chunk, labels))
+    job.work.save("height", tile, **{LABELS: labels})
     return TaskReport(int(job.store.layout.counts[tile]))
 
 
@@ -125,14 +124,15 @@ def summaries(job: Job, stage: str, tile: int, *names: str) -> list[Summary]:
     return [Summary(*pair) for pair in zip(arrays[::2], arrays[1::2], strict=True)]
 
 
-def _sample(job: Job, chunk: Chunk, labels: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    """Return those points of a core that clusters are fitted on."""
+def _save_scored(job: Job, tile: int, points: FreePoints) -> None:
+    """Keep the points of a core that are scored, and those that clusters are fitted on."""
     parameters = job.configuration.clustering
-    own = np.flatnonzero(chunk.core & (labels == Label.STATIC))
-    in_core = int(np.count_nonzero(chunk.core))
+    in_core = int(job.store.layout.counts[tile])
     total = in_core if parameters.scope == "tile" else job.finite_count
-    own = own[sample_rows(chunk.rows[own], total, parameters)]
-    return {"sample_xyz": chunk.xyz[own], "sample_rows": chunk.rows[own]}
+    chosen = sample_rows(points.rows, total, parameters)
+    save_free_points(job, tile, points)
+    job.work.make(SAMPLE)
+    job.work.save(SAMPLE, tile, xyz=points.xyz[chosen], rows=points.rows[chosen])
 
 
 def region_of(job: Job, tile: int) -> Region:

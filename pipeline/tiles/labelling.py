@@ -1,6 +1,6 @@
 """The task that labels the points of one tile, once all are scored, and what all tiles then say."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +13,6 @@ from dynahull.labels import Label
 from dynahull.removal import removal_percentages, remove_likely, smallest_counted
 from dynahull.result import NO_CLUSTER
 from pipeline.errors import WorkError
-from pipeline.outputs.map_sample import ARRAY_NAMES as SHOWN_ARRAYS
 from pipeline.outputs.map_sample import MapSample, is_sampled
 from pipeline.places import ARRAY_NAMES, Decision, DecisionSums
 from pipeline.plan.machine import available_cores
@@ -42,6 +41,9 @@ SCORES: dict[str, tuple[DTypeLike, float]] = {
 """Files of one value a row: their types, and what a row has that is in no tile."""
 
 _SHOWN = ("label", "cluster", "density", "score")
+_SHOWN_XYZ = "shown_xyz"
+_SCORED = (Label.STATIC, Label.DYNAMIC, Label.UNSCORED)
+"""Labels of those points of a tile that were not set aside before the scoring."""
 
 
 def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
@@ -60,7 +62,7 @@ def save_cuts(job: Job, counts: list[int], cuts: list[Cut] | None) -> None:
 def label_tile(job: Job, tile: int) -> TaskReport:
     """Label the points of a tile's core.
 
-    The labels are kept, clusters and densities if wanted, and what the report shows of them.
+    Labels and scores are kept, and the places of points that the report shows.
 
     The report counts the points of each label, then those removed from each cluster.
     """
@@ -86,26 +88,17 @@ def label_tile(job: Job, tile: int) -> TaskReport:
         dynamic &= ~safe[members]
         labels[place[members[dynamic]]] = Label.DYNAMIC
         removed.append(int(np.count_nonzero(dynamic)))
-    values: dict[str, NDArray[Any]] = {"label": labels}
-    for name, found in (
-        ("cluster", cluster_of + first_cluster(job, tile)),
-        ("density", density),
-        ("score", np.nan if score is None else score),
-        ("reason", NO_REASON if judged is None else judged.reason),
-    ):
-        kind, nothing = SCORES[name]
-        values[name] = np.full(len(core_rows), nothing, kind)
-        values[name][place] = found
-    kept = dict(values) if job.configuration.output.needs_scores else {"label": labels}
+    kept: dict[str, NDArray[Any]] = {"label": labels}
     core = np.stack([job.store.layout.low[tile], job.store.layout.high[tile]])
     if judged is not None:
+        kept |= {"score": judged.score, "reason": judged.reason}
         weighed = np.where(safe, np.float32(np.nan), judged.score)
         sums = DecisionSums.of(core_xyz[place], weighed, judged.reason, removal.confidence, core)
     else:
         sums = DecisionSums.by_density(core_xyz[labels == Label.DYNAMIC], core)
     kept |= sums.to_arrays()
     if job.configuration.output.report == "html":
-        kept |= shown_points(job, core_xyz, core_rows, values).to_arrays()
+        kept[_SHOWN_XYZ] = core_xyz[is_sampled(core_rows, job.collection.point_count)]
     if job.configuration.clustering.scope == "tile":
         limits = [np.nan if cut.density is None else cut.density for cut in cuts]
         kept["thresholds"] = np.array(limits)
@@ -152,24 +145,8 @@ def _extremes(job: Job, counts: list[int]) -> list[int]:
     return [smallest_counted(populated, job.configuration.neighbours.k), max(populated)]
 
 
-def shown_points(
-    job: Job, xyz: NDArray[np.float64], rows: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
-) -> MapSample:
-    """Return the sampled points of a tile's core, and what became of them: `values` of all."""
-    total = job.collection.point_count
-    shown = is_sampled(rows, total)
-    of_shown = (values[name][shown] for name in _SHOWN)
-    return MapSample(total, rows[shown], xyz[shown], *of_shown)
-
-
-def gather_sample(job: Job) -> MapSample:
-    """Return the sample of the map: that of all its tiles, and what scans saw of it."""
-    total = job.collection.point_count
-    parts = [
-        MapSample(total, *job.work.load("label", tile, *SHOWN_ARRAYS))
-        for tile in range(len(job.store.layout))
-    ]
-    sample = MapSample.of_parts(total, parts)
+def seen_by_scans(job: Job, sample: MapSample) -> MapSample:
+    """Return the sample of the map, and what scans saw of it."""
     cores = available_cores(job.configuration.execution.workers)
     told = job.viewpoints is not None and job.viewpoints.are_told
     return sample.seen(job.scans_of(sample.rows), scan_views(job) if told else None, cores)
@@ -201,6 +178,8 @@ class RowResults:
 
     def __init__(self, job: Job) -> None:
         self._job = job
+        self._shows = job.configuration.output.report == "html"
+        self._shown: list[MapSample] = []
         kinds = LABELS | (SCORES if job.configuration.output.needs_scores else {})
         self._files: dict[str, NDArray[Any]] = {}
         for name, (kind, value) in kinds.items():
@@ -209,15 +188,40 @@ class RowResults:
         label_unscored(job, self._files["label"])
 
     def add(self, tile: int) -> None:
-        """Take over what the label task of a tile kept."""
+        """Take over what was found of a tile: its label task is done."""
         rows, core = read_rows(self._job.store, tile)
-        own = rows[core]
-        values = self._job.work.load("label", tile, *self._files)
-        for file, of_tile in zip(self._files.values(), values, strict=True):
-            file[own] = of_tile
+        own, values = rows[core], _values_of(self._job, tile)
+        for name, file in self._files.items():
+            file[own] = values[name]
+        if self._shows:
+            total = self._job.collection.point_count
+            shown = is_sampled(own, total)
+            (xyz,) = self._job.work.load("label", tile, _SHOWN_XYZ)
+            of_shown = (values[name][shown] for name in _SHOWN)
+            self._shown.append(MapSample(total, own[shown], xyz, *of_shown))
 
     def flush(self) -> None:
         """Let other processes see it, on other machines as well."""
         for file in self._files.values():
             if isinstance(file, np.memmap):
                 file.flush()
+
+    def sample(self) -> MapSample:
+        """Return the points that the report shows; none without a report."""
+        return MapSample.of_parts(self._job.collection.point_count, self._shown)
+
+
+def _values_of(job: Job, tile: int) -> dict[str, NDArray[Any]]:
+    """Return what was found of the points of a tile's core, by the names of the files of rows."""
+    (labels,) = job.work.load("label", tile, "label")
+    place = np.flatnonzero(np.isin(labels, _SCORED))
+    cluster, density = scores_of(job, tile)
+    found = {"cluster": cluster + first_cluster(job, tile), "density": density}
+    if job.configuration.removal.weighs_evidence:
+        judged = ("score", "reason")
+        found |= dict(zip(judged, job.work.load("label", tile, *judged), strict=True))
+    values = {"label": labels}
+    for name, (kind, nothing) in SCORES.items():
+        values[name] = np.full(len(labels), nothing, kind)
+        values[name][place] = found.get(name, nothing)
+    return values

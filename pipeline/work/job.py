@@ -39,7 +39,16 @@ TIMING, PLANNING, FITTING, IMAGING, CREATING = STEPS = (
 """Steps that are about the whole map and are not shared out: what tells when points were seen,
 tiles, clusters, range images, outputs in parts."""
 
-LAST_READ_BY = {"cut": "chunk", "columns": "ground", "free": "density", "spread": "evidence"}
+SAMPLE = "sample"
+"""Folder of the points that clusters are fitted on."""
+
+LAST_READ_BY = {
+    "cut": "chunk",
+    "columns": "ground",
+    "free": "density",
+    SAMPLE: "density",
+    "spread": "evidence",
+}
 """Folders of what is large and soon needed no more, and the stage that is the last to read it."""
 
 FileState = tuple[int, int, int, int]
@@ -182,6 +191,8 @@ class Job:
 
     def is_spent(self, folder: str) -> bool:
         """Tell whether what tasks keep in a folder is needed no more: see `LAST_READ_BY`."""
+        if folder == SAMPLE and self.configuration.clustering.scope == "map":
+            return self.work.has_done(FITTING)
         last, tiles = LAST_READ_BY.get(folder), range(len(self.store.layout))
         return last is not None and all(self.work.report(last, tile) for tile in tiles)
 

@@ -213,7 +213,7 @@ def test_hundreds_of_tiles_of_a_room_are_the_room(decision, room_file, tmp_path)
     _, table, chunks = tiled([room_file], tmp_path / "out", 4, "tiling.halo=0.05", *wanted)
     assert len(chunks) > 200
     assert_same(table, in_memory([room_file], *wanted))
-    for spent in ("cut", "columns", "free", "spread"):  # what is needed no more is gone
+    for spent in ("cut", "columns", "free", "sample", "spread"):  # what is needed no more is gone
         kept = (tmp_path / "out/.dynahull-work" / spent).glob("*")
         assert {path.suffix for path in kept} <= {".done"}
 
