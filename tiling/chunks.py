@@ -205,6 +205,7 @@ def _write_las(path: Path, chunk: Chunk, store: ChunkStore, tile: int) -> None:
     if not held.all():
         raise GridError(str(store.chunk_path(tile)), chunk.xyz[~held][0])
     header = laspy.LasHeader(version="1.4", point_format=6)
+    header.global_encoding.wkt = True  # as LAS asks of this point format: PDAL complains without
     header.creation_date = _CREATED
     header.scales, header.offsets = np.array(store.grid.scales), np.array(store.grid.offsets)
     header.add_extra_dims(

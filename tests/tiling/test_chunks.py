@@ -212,6 +212,7 @@ def test_las_chunks_are_maps_for_other_tools(filled, tmp_path, kind):
     store = store_of(tmp_path / kind, collection, 60, 0.5, kind)
     fill(store, collection)
     found = laspy.read(store.chunk_path(1))
+    assert found.header.global_encoding.wkt  # LAS 1.4 R15, table 4: point formats 6 to 10
     np.testing.assert_array_equal(found.xyz, xyz[found.row.astype(int)])
     np.testing.assert_array_equal(
         found.row[found.core == 1], np.flatnonzero(store.layout.tile_of(xyz) == 1)
