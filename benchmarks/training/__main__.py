@@ -1,13 +1,15 @@
 """Train the models of the evidence from simulated scenes alone, and say how well they do.
 
     python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--keep FOLDER]
-                                  [--models posed_model.json]
+                                  [--dense-seeds 80] [--models posed_model.json]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
 makes of it is printed, with how often points of each probability moved and what each term earns.
 The mean of these models is written to `--out`: it is sturdier on scenes unlike all of them than one
-model of all kinds. Others are learnt from the maps whose scans, and whose poses, are known. With
+model of all kinds. Further scenes, of sensors that stand indoors, teach what is a ghost in places
+that were seen thousands of times. Models for maps whose scans, and whose poses, are known are
+learnt from those of the maps. With
 `--keep`, maps are kept, and a later call goes on from there; it takes some 150 MB a seed.
 """
 
@@ -21,11 +23,13 @@ from datetime import date
 from pathlib import Path
 
 from benchmarks.density import machine
-from benchmarks.training.fitting import FitOptions, averaged, fit_seconds, train
+from benchmarks.training.dense import dense_lessons
+from benchmarks.training.fitting import DenseLesson, FitOptions, averaged, fit_seconds, train
 from benchmarks.training.judging import (
     Judged,
     ablation,
     by_confidence,
+    dense_figures,
     figures,
     judge,
     reliability,
@@ -41,6 +45,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the data files")
     parser.add_argument("--seeds", type=int, default=340)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--dense-seeds", type=int, default=80)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     models = list(MODELS)
@@ -55,28 +60,41 @@ def main() -> None:
         wants_scans = arguments.models != [MAP_FILE]
         maps = list(training_maps(seeds, folder, arguments.workers, wants_scans))
         points = sum(len(each.xyz) for each in maps)
-        print(f"{len(maps)} maps, {points:,} scored points, {time.monotonic() - begun:.0f} s")
+        seconds = time.monotonic() - begun
+        print(f"{len(maps)} maps, {points:,} scored points, {seconds:.0f} s", flush=True)
+        dense_seeds = range(arguments.dense_seeds if MAP_FILE in arguments.models else 0)
+        dense = list(dense_lessons(dense_seeds, folder, arguments.workers))
+        print(f"{len(dense)} dense scenes, {time.monotonic() - begun:.0f} s", flush=True)
         timed = [each for each in maps if each.is_timed]
         posed = [each.posed() for each in timed]
         for name, known in zip(MODELS, (maps, timed, posed), strict=True):
             if name in arguments.models:
                 print(f"\n{name}: {len(known)} maps, {time.monotonic() - begun:.0f} s")
-                learn(known, MODELS[name], arguments.out / name, arguments)
+                asked = MODELS[name]
+                own = dense if asked is MAP_ONLY else []
+                learn(known, own, asked, arguments.out / name, arguments)
         print(f"{time.monotonic() - begun:.0f} s")
 
 
 def learn(
-    maps: Sequence[TrainingMap], asked: AskedTerms, path: Path, arguments: argparse.Namespace
+    maps: Sequence[TrainingMap],
+    dense: Sequence[DenseLesson],
+    asked: AskedTerms,
+    path: Path,
+    arguments: argparse.Namespace,
 ) -> None:
     """Learn from maps, judge what is left out, and write the mean of all models."""
     # Where scans are known, what they saw takes time as well.
     options = FitOptions() if asked is MAP_ONLY else FitOptions(first_trees=120, quick_trees=40)
     workers = arguments.workers
-    training = train(maps, options, workers, asked)
+    training = train(maps, options, workers, asked, dense)
     seconds = fit_seconds(training, options, workers)
     judged = judge(training, seconds, workers)
     print(*figures(judged, RemovalParameters().confidence), sep="\n", flush=True)
     print(*by_confidence(judged), sep="\n")
+    if dense:
+        confidence = RemovalParameters().confidence
+        print(*dense_figures(training, dense, confidence), sep="\n", flush=True)
     _print_reliability(judged)
     if arguments.plot and asked is MAP_ONLY:
         _plot(judged, arguments.plot)

@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,8 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
-from dynahull.evidence.forest import StagedForest
 from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms, pooled_terms
+from dynahull.evidence.stages import StagedForest
 from dynahull.evidence.summaries import summarise_odds
 from dynahull.evidence.terms import FALLING, RISING
 
@@ -30,7 +31,12 @@ FOLDS = (
 Stored = dict[str, Any]
 
 
-def fold_of(each: TrainingMap) -> int:
+class _OfAKind(Protocol):
+    @property
+    def kind(self) -> str: ...
+
+
+def fold_of(each: _OfAKind) -> int:
     """Return the fold that a map is left out with."""
     return next(number for number, kinds in enumerate(FOLDS) if each.kind in kinds)
 
@@ -48,6 +54,8 @@ class FitOptions:
         Of the first round: asked about all points.
     doubtful : float
         Logarithm of odds above which the other trees of the first round are asked as well.
+    dense_trees, dense_leaves : int
+        Of the first round among dense surroundings.
     """
 
     points: int = 4_000
@@ -55,6 +63,8 @@ class FitOptions:
     first_leaves: int = 32
     quick_trees: int = 60
     doubtful: float = -3.5
+    dense_trees: int = 100
+    dense_leaves: int = 16
     second_trees: int = 100
     second_leaves: int = 16
 
@@ -103,6 +113,18 @@ class Lesson:
 
 
 @dataclass(frozen=True, slots=True)
+class DenseLesson:
+    """What a scene teaches of points among dense surroundings."""
+
+    kind: str
+    lesson: Lesson
+
+
+DENSE_TERM, DENSE = "returns_2.4", 8.0
+"""Logarithm of the returns an occupied voxel of 0.1 m, within 1.2 m: some 3,000 of them."""
+
+
+@dataclass(frozen=True, slots=True)
 class Training:
     """Maps, and what a first round that has not seen their kind makes of them.
 
@@ -133,6 +155,7 @@ def train(
     options: FitOptions,
     workers: int,
     asked: AskedTerms = MAP_ONLY,
+    dense: Sequence[DenseLesson] = (),
 ) -> Training:
     """Fit a first round without each fold, and let it judge that fold."""
     samples = [
@@ -147,9 +170,10 @@ def train(
         )
         for each, sample in zip(maps, samples, strict=True)
     ]
-    tasks = [(maps, samples, lessons, fold, options, asked) for fold in range(len(FOLDS))]
     with ThreadPoolExecutor(workers) as pool:
-        done = list(pool.map(_one_fold, tasks))
+        folds = range(len(FOLDS))
+        one_fold = partial(_one_fold, maps, samples, lessons, dense, options, asked)
+        done = list(pool.map(one_fold, folds))
     judged = {number: found for _, of_fold in done for number, found in of_fold.items()}
     numbers = range(len(maps))
     return Training(
@@ -163,11 +187,19 @@ def train(
 
 
 def _one_fold(
-    task: tuple[Sequence[TrainingMap], list[Sample], list[Lesson], int, FitOptions, AskedTerms],
+    maps: Sequence[TrainingMap],
+    samples: list[Sample],
+    lessons: list[Lesson],
+    dense: Sequence[DenseLesson],
+    options: FitOptions,
+    asked: AskedTerms,
+    fold: int,
 ) -> tuple[Stored, dict[int, tuple[Lesson, NDArray[np.float32]]]]:
-    maps, samples, lessons, fold, options, asked = task
     others = [lessons[n] for n, each in enumerate(maps) if fold_of(each) != fold]
     first = fit_first(others or lessons, options, asked)
+    others_dense = [each for each in dense if fold_of(each) != fold]
+    if others_dense:
+        first["dense"] = fit_dense(others_dense, options, asked)
     forest = StagedForest.of(first)
     found = {}
     for number, each in enumerate(maps):
@@ -184,6 +216,17 @@ def fit_first(lessons: Sequence[Lesson], options: FitOptions, asked: AskedTerms)
     model = boosted(Lesson.joined(lessons), asked.first, options.first_trees, options.first_leaves)
     stages = {"quick": options.quick_trees, "doubtful": options.doubtful}
     return stages | stored(model, asked.first)
+
+
+def fit_dense(dense: Sequence[DenseLesson], options: FitOptions, asked: AskedTerms) -> Stored:
+    """Fit what judges points among dense surroundings in place of the first round."""
+    lessons = []
+    for each in dense:  # each with the same say, however many of its points are learnt from
+        weights = each.lesson.weights * options.points / each.lesson.weights.sum()
+        lessons.append(replace(each.lesson, weights=weights))
+    learnt = Lesson.joined(lessons)
+    model = boosted(learnt, asked.first, options.dense_trees, options.dense_leaves)
+    return {"term": DENSE_TERM, "above": DENSE} | stored(model, asked.first)
 
 
 def fit_seconds(training: Training, options: FitOptions, workers: int) -> list[Stored]:
@@ -218,6 +261,8 @@ def averaged(models: Sequence[Stored]) -> Stored:
     }
     if quick:
         mean["quick"] = quick * len(models)
+    if "dense" in models[0]:
+        mean["dense"] = averaged([model["dense"] for model in models])
     return mean
 
 

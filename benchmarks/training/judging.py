@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.training.fitting import (
     FOLDS,
+    DenseLesson,
     Lesson,
     Stored,
     Training,
@@ -17,14 +18,16 @@ from benchmarks.training.fitting import (
     second_terms,
 )
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
-from dynahull.evidence.forest import Forest, StagedForest
+from dynahull.evidence.forest import Forest
+from dynahull.evidence.stages import StagedForest
 
 _EDGES = np.array([0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 _STEPS = 200
 _ABLATED_EACH = 5
 _STILL = 0.0002
-_FEW = 0.01
-"""Shares of moving points: below the one nothing moves, and from the other on F1 is asked for."""
+_FEW, _FEW_DENSE = 0.01, 0.002
+"""Shares of moving points: below the first nothing moves, and from the others on F1 is asked for;
+the last where each place is seen so often that few of its points are of who passed by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +172,33 @@ def reliability(judged: Sequence[Judged]) -> list[tuple[float, float, int]]:
             )
         )
     return found
+
+
+def dense_figures(
+    training: Training, dense: Sequence[DenseLesson], confidence: float
+) -> Iterator[str]:
+    """Yield what first rounds make of points among dense surroundings, of kinds left out.
+
+    By the trees for such points, and by those for all others. F1 is the mean over scenes of whose
+    points `_FEW_DENSE` moved.
+    """
+    limit = np.log(confidence / (1 - confidence))
+    forests = [StagedForest.of(first) for first in training.first]
+    yield f"{'among dense surroundings':<26}{'scenes':>7}{'F1 mean':>9}  lost where nothing moves"
+    for name, asked in (("the trees for them", True), ("the trees for all", False)):
+        f1, still = [], []
+        for each in dense:
+            forest, lesson = forests[fold_of(each)], each.lesson
+            forest = forest if asked else replace(forest, dense=None)
+            removed, weights = forest.log_odds(lesson.terms) >= limit, lesson.weights
+            moved, gone = float(weights[lesson.moved].sum()), float(weights[removed].sum())
+            hit, total = float(weights[removed & lesson.moved].sum()), float(weights.sum())
+            if moved >= _FEW_DENSE * total:
+                f1.append(200 * hit / (gone + moved))
+            elif moved < _STILL * total:
+                still.append(100 * gone / total)
+        mean, lost = np.mean(f1 or [np.nan]), np.mean(still or [np.nan])
+        yield f"{name:<26}{len(dense):>7}{mean:>9.1f}  {lost:.2f} %"
 
 
 def ablation(training: Training, workers: int) -> Iterator[str]:

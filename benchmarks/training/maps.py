@@ -22,7 +22,7 @@ from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.parameters import MethodParameters
 from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
-from pipeline.simulation.meshes import random_parameters, simulate_meshes
+from pipeline.simulation.meshes import MeshParameters, random_parameters, simulate_meshes
 
 UNKNOWN, STATIC, MOVED = 0, 1, 2
 
@@ -45,6 +45,10 @@ _APART = (1, 1, 2, 5, 10)
 """Scans from one of a map to the next, by seed."""
 
 _BATCH = 100_000
+
+PARAMETERS = MethodParameters.of({"removal": {"decision": "auto"}})
+
+Random = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ def _make(folder: Path, timed: bool, seed: int) -> list[str]:
     if done.exists():
         return list(json.loads(done.read_text(encoding="utf-8")))
     random = np.random.default_rng(seed)
-    whole = _window(_simulated(seed, random), random)
+    whole = window(_simulated(seed, random), random)
     names = []
     for letter, variant in {"a": whole, "b": _variant(whole, random)}.items():
         name = f"{seed:05d}{letter}"
@@ -137,7 +141,7 @@ def _make(folder: Path, timed: bool, seed: int) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Made:
+class Made:
     """A simulated map, or a part of it, and the scans that it was made of.
 
     `scan` is None where a voxel filter mixed the scans. What `scans` saw goes beyond the part.
@@ -159,7 +163,7 @@ class _Scans:
     scan: NDArray[np.int32]
     places: NDArray[np.float64]
 
-    def thinned(self, share: float, random: np.random.Generator) -> "_Scans":
+    def thinned(self, share: float, random: Random) -> "_Scans":
         keep = random.random(len(self.xyz)) < share
         return replace(self, xyz=self.xyz[keep], scan=self.scan[keep])
 
@@ -173,19 +177,23 @@ class _Scans:
         return [self.views(middles), self.views(Viewpoints.of_poses(self.places))]
 
 
-def _simulated(seed: int, random: np.random.Generator) -> _Made:
+def _simulated(seed: int, random: Random) -> Made:
     return _boxes(seed, random) if seed % _BOXES_EACH == _BOXES_EACH - 1 else _meshes(seed)
 
 
-def _meshes(seed: int) -> _Made:
-    parameters = random_parameters(seed)
+def _meshes(seed: int) -> Made:
+    return made_of_meshes(random_parameters(seed))
+
+
+def made_of_meshes(parameters: MeshParameters) -> Made:
+    """Simulate a scene of meshes."""
     made = simulate_meshes(parameters)
     points = made.points
     truth = np.where(points.known, np.where(points.moving, MOVED, STATIC), UNKNOWN).astype(np.int8)
     xyz = points.xyz.astype(np.float32).astype(np.float64)  # as files of maps hold them
     scans = _Scans(xyz, points.scan, made.poses[:, :, 3])
-    scan = _scan_numbers(seed, points.scan) if parameters.voxel == 0 else None
-    return _Made(xyz, truth, scan, scans, str(parameters.kind), str(parameters.sensor))
+    scan = _scan_numbers(parameters.seed, points.scan) if parameters.voxel == 0 else None
+    return Made(xyz, truth, scan, scans, str(parameters.kind), str(parameters.sensor))
 
 
 def _scan_numbers(seed: int, scan: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
@@ -193,7 +201,7 @@ def _scan_numbers(seed: int, scan: NDArray[np.integer[Any]]) -> NDArray[np.int32
     return scan.astype(np.int32) * _APART[seed % len(_APART)]
 
 
-def _boxes(seed: int, random: np.random.Generator) -> _Made:
+def _boxes(seed: int, random: Random) -> Made:
     """Simulate a scene of boxes: other shapes and another sensor than those of the meshes."""
     u = random.uniform
     kind = SceneKind(str(random.choice([str(each) for each in SceneKind])))
@@ -217,14 +225,14 @@ def _boxes(seed: int, random: np.random.Generator) -> _Made:
     xyz = made.xyz.astype(np.float64)
     scans = _Scans(xyz, made.scan.astype(np.int32), made.estimated_poses[:, :, 3])
     scan = _scan_numbers(seed, made.scan)
-    return _Made(xyz, truth, scan, scans, f"boxes_{kind}", "boxes")
+    return Made(xyz, truth, scan, scans, f"boxes_{kind}", "boxes")
 
 
-def _window(made: _Made, random: np.random.Generator) -> _Made:
+def window(made: Made, random: Random, most: int = _MOST) -> Made:
     """Return the points about one of them, in a square that holds as many as are wanted.
 
     The one has moved more often than not, as most windows would hold nothing that did. Where most
-    of a window moved, another is tried.
+    of a window moved, another is tried. A narrow square may hold more, but at most `most`.
     """
     xyz, truth = made.xyz, made.truth
     if len(xyz) <= _LARGEST:
@@ -234,9 +242,9 @@ def _window(made: _Made, random: np.random.Generator) -> _Made:
         among = np.flatnonzero(truth == MOVED) if seek else np.zeros(0, np.intp)
         centre = xyz[random.choice(among) if len(among) else random.integers(len(xyz)), :2]
         away = np.abs(xyz[:, :2] - centre).max(axis=1)
-        most = min(_MOST, len(away) - 1)
-        ranked = np.partition(away, (_LARGEST, most))
-        half = min(max(ranked[_LARGEST], _NARROW), ranked[most])
+        last = min(most, len(away) - 1)
+        ranked = np.partition(away, (_LARGEST, last))
+        half = min(max(ranked[_LARGEST], _NARROW), ranked[last])
         inside = np.flatnonzero(away <= half)
         if np.mean(truth[inside] == MOVED) < _MOST_MOVED:
             break
@@ -245,14 +253,12 @@ def _window(made: _Made, random: np.random.Generator) -> _Made:
     return _of(made, xyz[inside], within, inside)
 
 
-def _of(
-    made: _Made, xyz: NDArray[np.float64], truth: NDArray[np.int8], rows: NDArray[Any]
-) -> _Made:
+def _of(made: Made, xyz: NDArray[np.float64], truth: NDArray[np.int8], rows: NDArray[Any]) -> Made:
     scan = None if made.scan is None else made.scan[rows]
     return replace(made, xyz=xyz, truth=truth, scan=scan)
 
 
-def _variant(made: _Made, random: np.random.Generator) -> _Made:
+def _variant(made: Made, random: Random) -> Made:
     """Return the map as a voxel filter would leave it, or thinned, often with more noise."""
     xyz, truth = made.xyz, made.truth
     chance = random.random()
@@ -260,11 +266,16 @@ def _variant(made: _Made, random: np.random.Generator) -> _Made:
         xyz, truth = _voxel_filter(xyz, truth, float(random.choice([0.03, 0.05, 0.05, 0.1])))
         return replace(made, xyz=xyz, truth=truth, scan=None)
     share = random.uniform(0.15, 0.6)
-    keep = random.random(len(xyz)) < share
+    fewer = thinned(made, share, random)
     noise = random.uniform(0.005, 0.025) if chance < 0.7 else 0.0
-    noisy = xyz[keep] + random.normal(size=(int(keep.sum()), 3)) * noise
-    thinned = _of(made, noisy, truth[keep], keep)
-    return replace(thinned, scans=made.scans.thinned(share, random))
+    noisy = fewer.xyz + random.normal(size=fewer.xyz.shape) * noise
+    return replace(fewer, xyz=noisy, scans=made.scans.thinned(share, random))
+
+
+def thinned(made: Made, share: float, random: Random) -> Made:
+    """Return the map with some of its points, drawn at random."""
+    keep = random.random(len(made.xyz)) < share
+    return _of(made, made.xyz[keep], made.truth[keep], keep)
 
 
 def _voxel_filter(
@@ -280,11 +291,10 @@ def _voxel_filter(
     return means, np.argmax(shares, axis=0).astype(np.int8)
 
 
-def _measure(path: Path, made: _Made) -> bool:
+def _measure(path: Path, made: Made) -> bool:
     """Measure the terms of a map as `clean` does, and keep them."""
     xyz, truth, scan = np.ascontiguousarray(made.xyz), made.truth, made.scan
-    parameters = MethodParameters.of({"removal": {"decision": "auto"}})
-    points, rows = _scored(xyz, parameters)
+    points, rows = scored(xyz, PARAMETERS)
     if len(points) < _FEWEST:
         return False
     aside = np.ones(len(xyz), np.bool_)
@@ -302,10 +312,10 @@ def _measure(path: Path, made: _Made) -> bool:
     )
     for begin in range(0, len(points), _BATCH):
         part, own = points.part(slice(begin, begin + _BATCH)), slice(begin, begin + _BATCH)
-        found = evidence(part, parameters.neighbours.k, surroundings)
+        found = evidence(part, PARAMETERS.neighbours.k, surroundings)
         terms[own, : found.shape[1]] = found
         if posed is not None:
-            seen = evidence(part, parameters.neighbours.k, posed)[:, -len(SEEN_TERMS) :]
+            seen = evidence(part, PARAMETERS.neighbours.k, posed)[:, -len(SEEN_TERMS) :]
             terms[own, found.shape[1] :] = seen
     np.savez(
         path.with_suffix(".npz"),
@@ -317,7 +327,7 @@ def _measure(path: Path, made: _Made) -> bool:
     return True
 
 
-def _scored(
+def scored(
     xyz: NDArray[np.float64], parameters: MethodParameters
 ) -> tuple[ScoredPoints, NDArray[np.intp]]:
     """Measure points as the first four steps of Algorithm 1 do; return them and their rows."""

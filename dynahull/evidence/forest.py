@@ -179,64 +179,6 @@ class Forest:
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class StagedForest:
-    """Trees most of which are asked about doubtful points only (Viola and Jones, CVPR 2001).
-
-    Attributes
-    ----------
-    quick : Forest
-        Asked about all points.
-    rest : Forest
-        Asked about points of whose odds the quick ones make more than `doubtful`.
-    doubtful : float
-        A logarithm of odds.
-    """
-
-    quick: Forest
-    rest: Forest
-    doubtful: float
-
-    @classmethod
-    def of(cls, stored: dict[str, Any]) -> Self:
-        """Build as `Forest.of` does; `quick` says how many of the trees come first.
-
-        Raises
-        ------
-        InvalidParametersError
-            When the trees are not whole.
-        """
-        try:
-            trees, quick, doubtful = stored["trees"], int(stored["quick"]), stored["doubtful"]
-            doubtful = float(np.float32(doubtful))  # what is compared with it are float32
-        except (KeyError, TypeError, ValueError) as error:
-            raise InvalidParametersError(f"trees: expected stages, found {error!r}") from None
-        return cls(
-            Forest.of(stored | {"trees": trees[:quick]}),
-            Forest.of(stored | {"trees": trees[quick:], "baseline": 0.0}),
-            doubtful,
-        )
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """What is known of a point."""
-        return self.quick.terms
-
-    def log_odds(
-        self, evidence: npt.NDArray[np.float32], threads: int = 1
-    ) -> npt.NDArray[np.float32]:
-        """Return the logarithm of the odds of each point, (n,): see `Forest.log_odds`.
-
-        A doubtful point is never less likely than one that is not, so that what holds of each
-        forest as a term grows holds of both.
-        """
-        found = self.quick.log_odds(evidence, threads)
-        rows = np.flatnonzero(found > self.doubtful)
-        both = found[rows] + self.rest.log_odds(evidence[rows], threads)
-        found[rows] = np.maximum(both, np.float32(self.doubtful))
-        return found
-
-
 class _Tree:
     """The questions and leaves of a tree, from its nodes in depth-first order."""
 

@@ -17,10 +17,11 @@ import numpy.typing as npt
 
 from dynahull.compilation import compiled
 from dynahull.errors import InvalidParametersError
-from dynahull.evidence.forest import Forest, StagedForest
+from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, cells_of, find_cell
 from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.reasons import NO_REASON, reasons
+from dynahull.evidence.stages import StagedForest
 from dynahull.evidence.summaries import (
     FINEST,
     LEVELS,
@@ -222,7 +223,7 @@ class EvidenceModel:
             own = slice(begin, end)
             terms = evidence(points.part(own), k, surroundings)
             log_odds = self.first.log_odds(terms)
-            why = reasons(self.first.quick, terms, log_odds)  # all trees seldom say other
+            why = reasons(self.first, terms, log_odds)
             found.put(own, FirstRound(log_odds, terms[:, kept], why))
 
         over_ranges(judge, _bounds(len(points)), threads)

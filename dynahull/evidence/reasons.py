@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from dynahull.evidence.forest import Forest
+from dynahull.evidence.stages import StagedForest
 from dynahull.evidence.terms import TIMED_TERMS
 
 REASONS: dict[str, tuple[str, ...]] = {
@@ -42,7 +42,7 @@ _FAMILY = np.array([_reason_of(term) for term in TIMED_TERMS], np.int32)
 
 
 def reasons(
-    forest: Forest, terms: npt.NDArray[np.float32], log_odds: npt.NDArray[np.float32]
+    forest: StagedForest, terms: npt.NDArray[np.float32], log_odds: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.uint8]:
     """Return which of `REASONS` raised the odds of each point most, (n,).
 
@@ -51,7 +51,7 @@ def reasons(
 
     Parameters
     ----------
-    forest : Forest
+    forest : StagedForest
         Over `TERMS` or `TIMED_TERMS`.
     terms : (n, len(forest.terms)) float32 array
     log_odds : (n,) float32 array

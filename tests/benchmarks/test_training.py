@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.training.dense import _make, standing_parameters
 from benchmarks.training.fitting import (
+    DENSE,
+    DENSE_TERM,
     FOLDS,
+    DenseLesson,
     FitOptions,
     Lesson,
     Sample,
@@ -17,15 +21,31 @@ from benchmarks.training.fitting import (
     stored,
     train,
 )
-from benchmarks.training.judging import Judged, ablation, figures, judge, reliability
+from benchmarks.training.judging import (
+    Judged,
+    ablation,
+    dense_figures,
+    figures,
+    judge,
+    reliability,
+)
 from benchmarks.training.maps import MOVED, STATIC, UNKNOWN, TrainingMap
-from dynahull.evidence.forest import Forest, StagedForest
+from dynahull.evidence.forest import Forest
 from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
+from dynahull.evidence.stages import StagedForest
 from dynahull.evidence.terms import FALLING, RISING, SEEN_TERMS, TERMS, TIMED_TERMS
+from pipeline.simulation.meshes.parameters import DriveMode, MeshSceneKind
 
 DENSITY = TERMS.index("density_1.2")
 SMALL = FitOptions(
-    points=600, first_trees=10, first_leaves=6, quick_trees=3, second_trees=8, second_leaves=5
+    points=600,
+    first_trees=10,
+    first_leaves=6,
+    quick_trees=3,
+    dense_trees=7,
+    dense_leaves=5,
+    second_trees=8,
+    second_leaves=5,
 )
 
 
@@ -105,6 +125,48 @@ def test_training_finds_what_moved_on_kinds_left_out(asked):
     EvidenceModel.of(
         {"first": averaged(training.first), "second": averaged(seconds)}
     )  # what is written is what the package reads
+
+
+def dense_lesson(number, kind, count=2_000):
+    """Among dense surroundings, what is thick moved; elsewhere, that says nothing."""
+    terms = a_map(number, kind, count).terms[:, : len(TERMS)]
+    terms[:, TERMS.index(DENSE_TERM)] = DENSE + 1
+    thickness = np.nan_to_num(terms[:, TERMS.index("thickness")])
+    return DenseLesson(kind, Lesson(terms, thickness > 1, np.ones(count)))
+
+
+def test_dense_surroundings_have_trees_of_their_own():
+    maps = [a_map(number, kinds[0]) for number, kinds in enumerate(FOLDS)]
+    dense = [dense_lesson(10 + number, kinds[0]) for number, kinds in enumerate(FOLDS)]
+    training = train(maps, SMALL, workers=1, dense=dense)
+    without = train(maps, SMALL, workers=1)
+    table = [line.split() for line in dense_figures(training, dense, 0.5)]
+    f1 = [float(line[-3]) for line in table[1:]]
+    assert f1[0] > 80 and f1[1] < 40  # by them, and by all others
+    whole, plain = averaged(training.first), averaged(without.first)
+    assert [*whole] == [*plain, "dense"]
+    assert {name: whole[name] for name in plain} == plain  # the others learn nothing from them
+    assert len(whole["dense"]["trees"]) == len(FOLDS) * SMALL.dense_trees
+    assert [each["dense"]["trees"] for each in training.first[:2]] != 2 * [
+        training.first[0]["dense"]["trees"]
+    ]  # each lacks another kind
+
+
+def test_scenes_of_sensors_that_stand_are_measured_once(tmp_path, monkeypatch):
+    pytest.importorskip("open3d", reason="the extra `open3d` is not installed")
+    few = {"scans": 20, "rays": 8_000, "people": 3}
+    small = standing_parameters(0).model_copy(update=few)
+    assert small.mode == DriveMode.STAND and small.kind == MeshSceneKind.ROOM
+    monkeypatch.setattr("benchmarks.training.dense.standing_parameters", lambda _: small)
+    monkeypatch.setattr("benchmarks.training.dense.DENSE", 4.0)
+    path = _make(tmp_path, 0)
+    with np.load(path) as kept:
+        assert len(kept["terms"]) == len(kept["moved"]) == len(kept["weights"]) > 1_000
+        assert (kept["terms"][:, TERMS.index(DENSE_TERM)] > 4).all()
+        assert 0 < kept["moved"].mean() < 0.7
+    before = path.stat().st_mtime_ns
+    assert _make(tmp_path, 0) == path and path.stat().st_mtime_ns == before
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
 def test_the_mean_of_models_has_the_mean_of_their_log_odds():

@@ -15,7 +15,7 @@ import dynahull
 from dynahull import Label, clean
 from dynahull.density import reference_spreads
 from dynahull.errors import InvalidParametersError
-from dynahull.evidence.forest import Forest, StagedForest
+from dynahull.evidence.forest import Forest
 from dynahull.evidence.lattice import Voxels, cells_of
 from dynahull.evidence.model import (
     MODELS,
@@ -26,6 +26,7 @@ from dynahull.evidence.model import (
 )
 from dynahull.evidence.reasons import NO_REASON, REASONS, _reason_of
 from dynahull.evidence.shapes import moments_of, shapes_of
+from dynahull.evidence.stages import StagedForest
 from dynahull.evidence.summaries import (
     FINEST,
     REACH,
@@ -289,6 +290,43 @@ STORED = {
 def test_a_forest_adds_up_its_leaves(terms, expected):
     found = Forest.of(STORED).log_odds(np.array([terms], np.float32))
     assert found.tolist() == [expected]
+
+
+STAGED = STORED | {
+    "quick": 1,
+    "doubtful": 0.0,
+    "dense": {"term": "b", "above": 7.5, "terms": ["a", "b"], "baseline": 2.0}
+    | {"trees": [[["a", 0.0, 2, "left", 0.0], [-5.0], [5.0]]]},
+}
+
+
+def test_dense_surroundings_are_judged_by_trees_of_their_own():
+    forest = StagedForest.of(STAGED)
+    random = np.random.default_rng(0)
+    terms = random.uniform(-9, 9, size=(300, 2)).astype(np.float32)
+    terms[0], terms[1], terms[2] = [1, 7.5], [1, np.nan], [np.nan, 8]
+    dense = terms[:, 1] > 7.5  # not where it is unknown
+    expected = replace(forest, dense=None).log_odds(terms)
+    expected[dense] = Forest.of(STAGED["dense"]).log_odds(terms[dense])
+    assert forest.log_odds(terms).tolist() == expected.tolist()
+    assert forest.log_odds(terms[2:3]).tolist() == [-3.0]
+    for part in (dense, ~dense):  # of one sort alone
+        assert forest.log_odds(terms[part]).tolist() == expected[part].tolist()
+    groups = np.array([0, 1], np.int32)
+    found = forest.contributions(terms, groups, 2)
+    own = Forest.of(STAGED["dense"]).contributions(terms[dense], groups, 2)
+    np.testing.assert_array_equal(found[dense], own)
+    np.testing.assert_array_equal(
+        found[~dense], forest.quick.contributions(terms, groups, 2)[~dense]
+    )
+
+
+@pytest.mark.parametrize(
+    "dense", [{"term": "c"}, {"above": "much"}, {"terms": ["b", "a"]}, {"trees": [[[]]]}]
+)
+def test_trees_for_dense_surroundings_are_whole_or_refused(dense):
+    with pytest.raises(InvalidParametersError, match="trees: expected"):
+        StagedForest.of(STAGED | {"dense": STAGED["dense"] | dense})
 
 
 def stored_model():

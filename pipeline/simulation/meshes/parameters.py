@@ -152,11 +152,15 @@ def load_simulation(settings: Sequence[str]) -> SimulationParameters | MeshParam
 
 
 def random_parameters(
-    seed: int, kind: MeshSceneKind | None = None, sensor: SensorKind | None = None
+    seed: int,
+    kind: MeshSceneKind | None = None,
+    sensor: SensorKind | None = None,
+    mode: DriveMode | None = None,
 ) -> MeshParameters:
     """Draw a scene, a sensor, its way, what moves, noise, drift and how the map is made.
 
-    The same seed gives the same. A kind or a sensor that is given stays, and the rest is drawn.
+    The same seed gives the same. A kind, a sensor or a mode that is given stays, and the rest is
+    drawn.
     """
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     u = random.uniform
@@ -165,7 +169,8 @@ def random_parameters(
     drawn_sensor = str(random.choice(sensors))
     kind, sensor = kind or MeshSceneKind(drawn_kind), sensor or SensorKind(drawn_sensor)
     shares = [0.1, 0.2, 0.7] if kind is MeshSceneKind.ROOM else [0.5, 0.35, 0.15]
-    mode = DriveMode(str(random.choice(["through", "stop_and_go", "stand"], p=shares)))
+    drawn_mode = str(random.choice(["through", "stop_and_go", "stand"], p=shares))
+    mode = mode or DriveMode(drawn_mode)
     outdoors = not kind.indoors
     vehicle = outdoors and random.random() < 0.5
     few = random.random()
