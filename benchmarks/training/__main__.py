@@ -1,7 +1,7 @@
 """Train the models of the evidence from simulated scenes alone, and say how well they do.
 
     python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--keep FOLDER]
-                                  [--dense-seeds 80] [--models posed_model.json]
+                                  [--dense-seeds 220] [--models posed_model.json]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
@@ -9,8 +9,8 @@ makes of it is printed, with how often points of each probability moved and what
 The mean of these models is written to `--out`: it is sturdier on scenes unlike all of them than one
 model of all kinds. Further scenes, of sensors that stand indoors, teach what is a ghost in places
 that were seen thousands of times. Models for maps whose scans, and whose poses, are known are
-learnt from those of the maps. With
-`--keep`, maps are kept, and a later call goes on from there; it takes some 150 MB a seed.
+learnt from those of the maps. With `--keep`, maps are kept, and a later call goes on from there; it
+takes some 150 MB a seed.
 """
 
 import argparse
@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the data files")
     parser.add_argument("--seeds", type=int, default=340)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--dense-seeds", type=int, default=80)
+    parser.add_argument("--dense-seeds", type=int, default=220)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     models = list(MODELS)
