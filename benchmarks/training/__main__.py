@@ -90,10 +90,10 @@ def learn(
     training = train(maps, options, workers, asked, dense)
     seconds = fit_seconds(training, options, workers)
     judged = judge(training, seconds, workers)
-    print(*figures(judged, RemovalParameters().confidence), sep="\n", flush=True)
+    confidence = RemovalParameters().confidence
+    print(*figures(judged, confidence), sep="\n", flush=True)
     print(*by_confidence(judged), sep="\n")
     if dense:
-        confidence = RemovalParameters().confidence
         print(*dense_figures(training, dense, confidence), sep="\n", flush=True)
     _print_reliability(judged)
     if arguments.plot and asked is MAP_ONLY:

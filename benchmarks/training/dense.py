@@ -27,8 +27,12 @@ from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.summaries import summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import TERMS, evidence
-from pipeline.simulation.meshes import MeshParameters, random_parameters
-from pipeline.simulation.meshes.parameters import DriveMode, MeshSceneKind
+from pipeline.simulation.meshes import (
+    DriveMode,
+    MeshParameters,
+    MeshSceneKind,
+    random_parameters,
+)
 
 _KINDS = (
     "room", "office", "room", "corridor", "lobby", "room", "office", "room", "stairs", "room",

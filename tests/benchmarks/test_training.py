@@ -34,7 +34,7 @@ from dynahull.evidence.forest import Forest
 from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
 from dynahull.evidence.stages import StagedForest
 from dynahull.evidence.terms import FALLING, RISING, SEEN_TERMS, TERMS, TIMED_TERMS
-from pipeline.simulation.meshes.parameters import DriveMode, MeshSceneKind
+from pipeline.simulation.meshes import DriveMode, MeshSceneKind
 
 DENSITY = TERMS.index("density_1.2")
 SMALL = FitOptions(

@@ -245,6 +245,8 @@ def test_the_model_keeps_to_what_physics_says(names, sign, name):
     terms = np.random.default_rng(0).normal(size=(300, len(first.terms))).astype(np.float32)
     middle = float(np.median(first.quick.log_odds(terms)))
     first = replace(first, doubtful=middle)  # so that many points are, and many are not
+    if first.dense is not None:  # and half of them among dense surroundings
+        terms[::2, first.dense.column] = first.dense.limit + 1
     for term in set(names) & set(first.terms):
         low, high = terms.copy(), terms.copy()
         low[:, first.terms.index(term)], high[:, first.terms.index(term)] = -2.0, 2.0
