@@ -12,10 +12,11 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
+from dynahull.evidence.lattice import cells_of
 from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms, pooled_terms
 from dynahull.evidence.stages import StagedForest
-from dynahull.evidence.summaries import summarise_odds
-from dynahull.evidence.terms import FALLING, RISING
+from dynahull.evidence.summaries import FINEST, summarise_odds
+from dynahull.evidence.terms import FALLING, RISING, places_of
 
 _BATCH = 100_000
 
@@ -289,7 +290,9 @@ def second_terms(
     rows: NDArray[np.intp] | slice = slice(None),
 ) -> NDArray[np.float32]:
     """Return the terms of the second round of some points, or of all."""
-    pooled = pooled_terms(each.xyz[rows], summarise_odds(each.xyz, odds))
+    summed = summarise_odds(each.xyz, odds)
+    at = places_of(cells_of(each.xyz[rows], FINEST), summed.cells, summed.table)
+    pooled = pooled_terms(summed).take(at, axis=0)
     return np.column_stack([odds[rows], pooled, each.terms[rows][:, asked.kept]])
 
 

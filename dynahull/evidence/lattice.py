@@ -96,11 +96,11 @@ def _find_cells(points: Floats, side: float, cells: Cells) -> None:
 
 def unique_cells(cells: Cells) -> tuple[Cells, npt.NDArray[np.int32]]:
     """Return the cells that come, each once and in order, and which of them each that came is."""
-    firsts, numbers = _numbered(cells, _order_of(cells))
+    firsts, numbers = _numbered(cells, order_of(cells))
     return cells[firsts], numbers
 
 
-def _order_of(cells: Cells) -> npt.NDArray[np.intp]:
+def order_of(cells: Cells) -> npt.NDArray[np.intp]:
     """Return where the cells are that come first, second and so on."""
     if not len(cells):
         return np.zeros(0, np.intp)

@@ -18,7 +18,15 @@ import numpy.typing as npt
 from dynahull.compilation import compiled
 from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, cells_of, find_cell
+from dynahull.evidence.lattice import (
+    Cells,
+    Floats,
+    Integers,
+    Voxels,
+    cells_of,
+    find_cell,
+    order_of,
+)
 from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.reasons import NO_REASON, reasons
 from dynahull.evidence.stages import StagedForest
@@ -47,20 +55,17 @@ box; the mean over 2 m up and down in a column 0.4 m wide."""
 _COLUMN_LEVEL, _COLUMN_STEPS = 2, 5
 
 
-def pooled_terms(xyz: Floats, odds: Voxels) -> Terms:
-    """Return what was made of the points around each point, (n, len(POOLED_TERMS)).
+def pooled_terms(odds: Voxels) -> Terms:
+    """Return what was made of the points around each voxel, (V, len(POOLED_TERMS)).
 
     Parameters
     ----------
-    xyz : (n, 3) float64 array
     odds : Voxels
         Of all points within `summaries.REACH`: see `summaries.summarise_odds`.
     """
-    cells = cells_of(xyz, FINEST)
-    terms = np.empty((len(xyz), len(POOLED_TERMS)), np.float32)
-    level = odds
+    terms = np.empty((len(odds), len(POOLED_TERMS)), np.float32)
+    level, at = odds, np.arange(len(odds), dtype=np.int32)
     for number in range(LEVELS):
-        at = places_of(cells >> number, level.cells, level.table)
         sums = level.around()
         terms[:, number] = _mean_odds(sums).take(at)
         terms[:, LEVELS + number] = (sums[:, 1] / sums[:, 0]).take(at)
@@ -68,7 +73,8 @@ def pooled_terms(xyz: Floats, odds: Voxels) -> Terms:
             terms[:, 2 * LEVELS] = _mean_odds(
                 _column_sums(level.cells, level.sums, level.table)
             ).take(at)
-        level, _ = level.coarser()
+        level, parents = level.coarser()
+        at = parents.take(at)
     return terms
 
 
@@ -162,7 +168,7 @@ class FirstRound:
             np.empty(count, np.uint8),
         )
 
-    def put(self, chosen: slice | npt.NDArray[np.bool_], found: Self) -> None:
+    def put(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp], found: Self) -> None:
         """Take in what was made of some of the points."""
         self.log_odds[chosen], self.kept[chosen] = found.log_odds, found.kept
         self.reason[chosen] = found.reason
@@ -218,9 +224,10 @@ class EvidenceModel:
         """
         kept = self.asked.kept
         found = FirstRound.nothing(len(points), len(kept))
+        order = order_of(cells_of(points.xyz, FINEST))  # what is read about points stays in caches
 
         def judge(begin: int, end: int) -> None:
-            own = slice(begin, end)
+            own = order[begin:end]
             terms = evidence(points.part(own), k, surroundings)
             log_odds = self.first.log_odds(terms)
             why = reasons(self.first, terms, log_odds)
@@ -242,14 +249,17 @@ class EvidenceModel:
         odds : Voxels
             Of all points within `summaries.REACH`: see `summaries.summarise_odds`.
         """
-        pooled = pooled_terms(xyz, odds)
+        pooled, cells = pooled_terms(odds), cells_of(xyz, FINEST)
+        log_odds, order = np.empty(len(xyz), np.float32), order_of(cells)
 
-        def judge(begin: int, end: int) -> npt.NDArray[np.float32]:
-            own = slice(begin, end)
-            blocks = [found.log_odds[own, None], pooled[own], found.kept[own]]
-            return self.second.log_odds(np.concatenate(blocks, axis=1))
+        def judge(begin: int, end: int) -> None:
+            own = order[begin:end]
+            at = places_of(cells[own], odds.cells, odds.table)
+            blocks = [found.log_odds[own, None], pooled.take(at, axis=0), found.kept[own]]
+            log_odds[own] = self.second.log_odds(np.concatenate(blocks, axis=1))
 
-        return np.concatenate(over_ranges(judge, _bounds(len(xyz)), threads))
+        over_ranges(judge, _bounds(len(xyz)), threads)
+        return log_odds
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ class ScoredPoints:
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def part(self, chosen: slice | npt.NDArray[np.bool_]) -> Self:
+    def part(self, chosen: slice | npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Self:
         """Return some of the points."""
         return type(self)(
             self.xyz[chosen],

@@ -40,6 +40,8 @@ class Level:
     cells : (V, 3) int32 array
     table : (T,) int32 array
         Where each cell is found: see `lattice.find_cell`.
+    parents : (V,) int32 array
+        In which voxel of the next level each lies.
     ground : (V,) int64 array
         Ground points in each voxel.
     means : (V, 5) float32 array
@@ -62,6 +64,7 @@ class Level:
 
     cells: Cells
     table: npt.NDArray[np.int32]
+    parents: npt.NDArray[np.int32]
     ground: Integers
     means: Terms
     shape: Terms | None = None
@@ -103,6 +106,7 @@ class Surroundings:
                 Level(
                     here.cells,
                     here.table,
+                    at,
                     here.sums[:, GROUND].copy(),
                     _means(here.sums, sums, further, at),
                     shapes_of(here.cells, sums, SCORED, MOMENTS_BEGIN, side)

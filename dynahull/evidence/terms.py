@@ -39,6 +39,8 @@ def floor_terms(
 
 
 _Lookup = tuple[Cells, Integers, npt.NDArray[np.int32]]
+_Cell = tuple[int, int, int]
+_NOWHERE = (2**62, 2**62, 2**62)
 
 
 @compiled
@@ -51,22 +53,22 @@ def _floor_terms(
     large: _Lookup,
     terms: npt.NDArray[np.float32],
 ) -> None:
+    # Points come in the order of their voxels: what was looked up for one often serves the next.
+    in_small = in_middle = in_large = _NOWHERE
+    over = under = beneath = about = 0
     for p in range(len(xyz)):
         if np.isnan(height[p]):
             continue
         x, y, floor = xyz[p, 0], xyz[p, 1], xyz[p, 2] - height[p]
-        i, j, k = _cell(x, 0.4), _cell(y, 0.4), _cell(floor + 0.2, 0.4)
-        over = under = 0
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                for dk in range(6, 9):
-                    if find_cell(i + di, j + dj, k + dk, middle[0], middle[2]) >= 0:
-                        over += 1
-        for dk in range(1, 6):
-            if find_cell(i, j, k + dk, middle[0], middle[2]) >= 0:
-                under += 1
-        beneath = _ground_about(_cell(x, 0.2), _cell(y, 0.2), _cell(floor, 0.2), small)
-        about = _ground_about(_cell(x, 0.8), _cell(y, 0.8), _cell(floor, 0.8), large)
+        cell = (_cell(x, 0.4), _cell(y, 0.4), _cell(floor + 0.2, 0.4))
+        if cell != in_middle:
+            in_middle, (over, under) = cell, _occupied_above(cell, middle)
+        cell = (_cell(x, 0.2), _cell(y, 0.2), _cell(floor, 0.2))
+        if cell != in_small:
+            in_small, beneath = cell, _ground_about(cell, small)
+        cell = (_cell(x, 0.8), _cell(y, 0.8), _cell(floor, 0.8))
+        if cell != in_large:
+            in_large, about = cell, _ground_about(cell, large)
         above_floor = np.float32(height[p])
         terms[p, 0] = min(above_floor, PEOPLE)
         terms[p, 1] = max(above_floor - PEOPLE, np.float32(0.0))
@@ -82,8 +84,25 @@ def _cell(place: float, side: float) -> int:
 
 
 @inlined
-def _ground_about(i: int, j: int, k: int, lookup: _Lookup) -> int:
+def _occupied_above(cell: _Cell, lookup: _Lookup) -> tuple[int, int]:
+    """Count voxels above the reach of people, in nine columns, and below it, in one."""
+    i, j, k = cell
+    over = under = 0
+    for di in range(-1, 2):
+        for dj in range(-1, 2):
+            for dk in range(6, 9):
+                if find_cell(i + di, j + dj, k + dk, lookup[0], lookup[2]) >= 0:
+                    over += 1
+    for dk in range(1, 6):
+        if find_cell(i, j, k + dk, lookup[0], lookup[2]) >= 0:
+            under += 1
+    return over, under
+
+
+@inlined
+def _ground_about(cell: _Cell, lookup: _Lookup) -> int:
     """Count the ground points in 3 x 3 x 3 voxels."""
+    i, j, k = cell
     count = np.int64(0)
     for di in range(-1, 2):
         for dj in range(-1, 2):
@@ -181,11 +200,11 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
     log_density, log_thickness = points.log_density(), points.log_thickness()
     own = _neighbourhood_terms(points.spread, log_density, k)
     blocks = [own, floor_terms(points.xyz, points.height, own[:, 6], surroundings)]
-    cells = cells_of(points.xyz, FINEST)
+    finest = surroundings.levels[0]
+    at = places_of(cells_of(points.xyz, FINEST), finest.cells, finest.table)
     scans: list[Terms] = []
     views: list[Terms] = []
     for number, level in enumerate(surroundings.levels):
-        at = places_of(cells >> number, level.cells, level.table)
         means = level.means.take(at, axis=0)
         if number:
             blocks += [(log_density - means[:, 0])[:, None], (log_thickness - means[:, 1])[:, None]]
@@ -202,6 +221,7 @@ def evidence(points: ScoredPoints, k: int, surroundings: Surroundings) -> Terms:
         for more in (level.own_views, level.views):
             if more is not None:
                 views += [more.take(at, axis=0)]
+        at = level.parents.take(at)
     return np.concatenate([*blocks, *scans, *views], axis=1, dtype=np.float32)
 
 

@@ -32,7 +32,7 @@ from dynahull.evidence.summaries import (
     summarise_points,
 )
 from dynahull.evidence.surroundings import Surroundings, _columns
-from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence
+from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence, places_of
 from dynahull.evidence.visits import marks_of, scan_counts
 from dynahull.kernels import hull_densities
 
@@ -248,8 +248,8 @@ def test_the_model_keeps_to_what_physics_says(names, sign, name):
 def test_pooled_odds_are_means_over_boxes():
     points, _ = scene(400, 5)
     odds = np.random.default_rng(6).normal(size=len(points)).astype(np.float32) * 12
-    pooled = pooled_terms(points.xyz, summarise_odds(points.xyz, odds))
-    cells = cells_of(points.xyz, FINEST)
+    cells, summed = cells_of(points.xyz, FINEST), summarise_odds(points.xyz, odds)
+    pooled = pooled_terms(summed).take(places_of(cells, summed.cells, summed.table), axis=0)
     clipped = np.rint(np.clip(odds, -8, 8).astype(np.float64) * 256) / 256
     for query in range(0, len(points), 97):
         for level in range(5):
