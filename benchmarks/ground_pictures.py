@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/ground.md: what the defaults call ground in real maps, in green.
+"""Draw the pictures of docs/ground.md and docs/results/ground.md: what is called ground, in green.
 
 Run `python -m benchmarks.ground_pictures [--data FOLDER] [--out FOLDER]`.
 """

@@ -1,4 +1,4 @@
-"""Draw real maps from above, before and after: the README's picture, and those of docs/method.md.
+"""Draw real maps from above, before and after: the README's picture, and those of docs/results.
 
     python -m benchmarks.pictures [--maps ../shared/data/maps] [--to docs/images] [-c auto]
 

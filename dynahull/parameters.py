@@ -67,15 +67,15 @@ class ClusteringParameters(BaseModel, extra="forbid", frozen=True):
     count: int = Field(5, ge=1, le=10_000, description="Number of clusters.")
     scope: Literal["map", "tile"] = Field(
         "map",
-        description="`map`: one model for the whole map. `tile`: one model per tile, for maps so "
-        "large that a few clusters mean nothing; in memory the map is one tile.",
+        description="`map`: one model for the whole map. `tile`: one for each tile (in memory, the "
+        "map), where a map is too large for a few clusters.",
     )
     seed: int = Field(0, ge=0, lt=2**32, description="Seed of the sample and of the model.")
     sample: int = Field(
         100_000,
         ge=1_000,
-        description="Points of the map, ground included, among which those lie that the model is "
-        "fitted on; drawn by row number, so that the sample does not depend on how the map is cut.",
+        description="Points drawn from the map by row number, ground included; the model is fitted "
+        "on those of them that are scored.",
     )
 
 
@@ -90,8 +90,8 @@ class DensityParameters(BaseModel, extra="forbid", frozen=True):
 
     device: Literal["cpu", "reference"] = Field(
         "cpu",
-        description="`cpu`: compiled kernels. `reference`: SciPy's k-d tree and Qhull, the plain "
-        "version they are tested against, some twenty times slower.",
+        description="`cpu`: compiled kernels. `reference`: the plain version that they are tested "
+        "against, by SciPy's k-d tree and Qhull, some twenty times slower.",
     )
 
 
@@ -100,14 +100,14 @@ class RemovalParameters(BaseModel, extra="forbid", frozen=True):
 
     decision: Literal["auto", "paper"] = Field(
         "auto",
-        description="`auto`: what the evidence says moved, and nothing where nothing did. `paper`: "
-        "the least dense points of each cluster, as many as Eq. 1 says; the default where a key of "
-        "Eq. 1 (`min_percent`, `max_percent`, `threshold`) is given.",
+        description="`auto`: what the evidence says moved. `paper`: the least dense points of each "
+        "cluster, as many as Eq. 1 says; the default where a key of Eq. 1 (`min_percent`, "
+        "`max_percent`, `threshold`) is given.",
     )
     confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.5,
-        description="Of `auto`: points go whose probability of having moved is at least this. "
-        "Higher is more careful.",
+        description="Of `auto`: least probability of having moved at which a point goes. Higher is "
+        "more careful.",
     )
     min_percent: float = Field(
         5.0, ge=0, le=100, description="Percent removed from the smallest cluster."
@@ -118,16 +118,16 @@ class RemovalParameters(BaseModel, extra="forbid", frozen=True):
     threshold: Literal["rank", "stepped"] = Field(
         "rank",
         description="`rank`: exactly the share R_i, least dense first. `stepped`: the threshold "
-        "rises from zero in equal steps until R_i is reached, as the paper words it.",
+        "rises in equal steps until R_i is reached, as the paper words it.",
     )
 
     protect_classes: tuple[Annotated[int, Field(ge=0, le=255, strict=True)], ...] = Field(
-        (), description="ASPRS classes of points that are never removed. Maps in LAS or LAZ."
+        (), description="ASPRS classes that are never removed (LAS, LAZ)."
     )
     protect: tuple[Area, ...] = Field(
         (),
-        description="Areas in which nothing is removed: polygons seen from above, `rings` of "
-        "corners, between the heights `low` and `high`. `--protect FILE` reads them.",
+        description="Areas in which nothing is removed: polygons from above, `rings` of corners, "
+        "between the heights `low` and `high`. `--protect FILE` reads them.",
     )
 
     @model_validator(mode="before")
@@ -164,8 +164,7 @@ class MethodParameters(BaseModel, extra="forbid", frozen=True):
     max_height: float | None = Field(
         None,
         gt=0,
-        description="Metres above the local ground; higher points are set aside, unscored and "
-        "kept. null: no limit.",
+        description="Metres above the local ground; higher points stay, unscored. null: no limit.",
     )
     clustering: ClusteringParameters = ClusteringParameters()
     neighbours: NeighbourParameters = NeighbourParameters()

@@ -15,8 +15,8 @@ class TLSParameters(BaseModel, extra="forbid", frozen=True):
 
     enabled: bool = Field(
         False,
-        description="Encrypt, and let in only who holds the key. Without files below, a key is "
-        "made for this run alone.",
+        description="Encrypt, and let in only who holds the key. Without the files below, a key is "
+        "made for this run.",
     )
     ca_file: str | None = Field(None, description="Certificate of the authority, PEM.")
     certificate: str | None = Field(
@@ -53,17 +53,16 @@ class ClusterParameters(BaseModel, extra="forbid", frozen=True):
     workers: int = Field(
         4,
         ge=0,
-        description="Workers, each a process of one thread. This many are kept: a job that is "
-        "lost is started anew. 0 with `submit`: no jobs for workers, the run works on the cores of "
-        "its own job.",
+        description="Workers, each a process of one thread. Lost jobs are started anew. 0 with "
+        "`submit`: the run works on the cores of its own job.",
     )
     workers_per_job: int = Field(
-        1, ge=1, description="Workers that one job starts, where jobs of one core are not wanted."
+        1, ge=1, description="Workers in one job, where jobs of one core are not wanted."
     )
     memory: Bytes = Field(
         4 << 30,
-        description="Memory of a worker, such as 4GiB; the job asks for it, and a worker that "
-        "takes more is started anew.",
+        description="Memory of a worker, such as 4GiB, for which the job asks; a worker that takes "
+        "more is started anew.",
     )
     walltime: Seconds = Field(
         3600, description="Time of a worker's job: seconds, or text such as 12:00:00 or 2-00:00:00."
@@ -73,38 +72,38 @@ class ClusterParameters(BaseModel, extra="forbid", frozen=True):
     job_name: str = Field(
         "dynahull",
         pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$",
-        description="Name of the run's job; that of a worker's has `-worker` behind it.",
+        description="Name of the run's job; those of workers have `-worker` behind it.",
     )
     job_extra_directives: tuple[str, ...] = Field(
         (),
         description="Further options for the batch system, one an entry, such as "
-        "`--constraint=skylake`; for HTCondor `name = value`.",
+        "`--constraint=skylake`; HTCondor: `name = value`.",
     )
     prologue: tuple[str, ...] = Field(
         (), description="Lines of shell before a worker or a run starts, such as `module load`."
     )
     resource_spec: str | None = Field(
         None,
-        description="PBS and SGE: the resources (`-l`) of a worker, in place of those derived from "
-        "memory. SGE has no common name for memory, and asks for none without.",
+        description="PBS and SGE: resources (`-l`) of a worker, in place of those derived from "
+        "memory. Without it, SGE asks for no memory.",
     )
     disk: Bytes = Field(1 << 30, description="HTCondor: disk of a job.")
     python: str | None = Field(
-        None, description="Python on the nodes; null: the one that starts the run, by its path."
+        None, description="Python on the nodes; null: the path of the one that starts the run."
     )
     local_directory: str | None = Field(
-        None, description="Scratch folder local to a node; null: its folder for temporary files."
+        None, description="Scratch folder on a node; null: its folder for temporary files."
     )
     interface: str | None = Field(
         None, description="Network interface of the nodes, such as ib0; null: the default route's."
     )
     scheduler_interface: str | None = Field(
-        None, description="That of the machine of the run; null: named like that of the nodes."
+        None, description="That of the run's machine; null: named like that of the nodes."
     )
     lifetime: Seconds | Literal["auto", "walltime"] = Field(
         "auto",
-        description="Time after which a worker ends by itself and another is started, which does "
-        "its task; `auto`: nine tenths of walltime; `walltime`: when the batch system ends it.",
+        description="Time after which a worker ends and another takes its task; `auto`: nine "
+        "tenths of walltime; `walltime`: when the batch system ends it.",
     )
     lifetime_stagger: Seconds | Literal["auto"] = Field(
         "auto",
@@ -113,19 +112,18 @@ class ClusterParameters(BaseModel, extra="forbid", frozen=True):
     )
     check_every: Seconds = Field(
         15,
-        description="Seconds between two questions to the batch system, asked only while workers "
-        "are missing.",
+        description="Seconds between two questions to the batch system while workers are missing.",
     )
     silence: Seconds = Field(
         30,
-        description="Seconds after which a job is given up whose workers are gone, though the "
-        "batch system says that it runs: its node is lost. A worker that took too much memory "
-        "begins anew within that time.",
+        description="Seconds after which a job without workers is given up, though the batch "
+        "system says that it runs: its node is lost. A worker that took too much memory begins "
+        "anew within that time.",
     )
     dashboard: str | None = Field(
         None,
         description="Address of the dashboard, such as 0.0.0.0:8787 for everybody; null: a free "
-        "port that only the same machine reaches.",
+        "port for the same machine only.",
     )
     run: RunJobParameters = RunJobParameters()
     tls: TLSParameters = TLSParameters()

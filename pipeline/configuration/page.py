@@ -16,10 +16,12 @@ _INTRODUCTION = """\
 # Configuration
 
 One YAML file of sections and keys, given with `-c`, or a ready configuration by name: {ready}.
-A single key is set with `--set section.key=value`. Keys that do not exist are refused, with the
-nearest that does. `config.yaml` beside every result holds all keys as they were used, and given
-back with `-c` repeats the run. This page is what `dynahull-pipeline keys` prints.
+`--set section.key=value` sets a single key. Unknown keys are refused, with the nearest that there
+is. `config.yaml` beside every result holds all keys as used; with `-c` it repeats the run.
+`dynahull-pipeline keys` prints this page.
 """
+
+_HEAD = ("| key | default | allowed | |", "|---|---|---|---|")
 
 _WORDS: dict[Any, str] = {
     str: "text",
@@ -33,23 +35,25 @@ _WORDS: dict[Any, str] = {
 def configuration_page() -> str:
     """Return the page, as Markdown."""
     ready = ", ".join(f"`{name}`" for name in ready_configurations())
-    return _INTRODUCTION.format(ready=ready) + "\n" + _tables(Configuration, "")
+    return "\n".join([_INTRODUCTION.format(ready=ready), *_HEAD, *_rows(Configuration, ""), ""])
 
 
-def _tables(model: type[BaseModel], place: str) -> str:
-    """Return a table of the model's own keys, followed by those of its sections."""
-    rows, sections = [], []
+def _rows(model: type[BaseModel], place: str) -> list[str]:
+    """Return a row for each key: the model's own, then those of its sections.
+
+    Each section of the configuration itself begins a table.
+    """
+    rows, below = [], []
     for name, field in model.model_fields.items():
         inner = field.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):
-            sections.append(_tables(inner, f"{place}{name}."))
+            below += [] if place else ["", f"## {name}", "", *_HEAD]
+            below += _rows(inner, f"{place}{name}.")
         else:
             default = yaml.safe_dump(field.default, default_flow_style=None).partition("\n")[0]
             allowed = _allowed(field)
             rows.append(f"| `{place}{name}` | {default} | {allowed} | {field.description} |")
-    table = ["| key | default | allowed | |", "|---|---|---|---|", *rows, ""] if rows else []
-    heading = [f"## {place.rstrip('.')}", ""] if place else []
-    return "\n".join([*heading, *table, *sections])
+    return rows + below
 
 
 def _allowed(field: FieldInfo) -> str:

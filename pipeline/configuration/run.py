@@ -41,24 +41,24 @@ class ExecutionParameters(BaseModel, extra="forbid", frozen=True):
 
     cluster: Literal["local", "none"] | BatchSystemName = Field(
         "local",
-        description="Where tiles are worked on. `local`: workers on this machine, one process "
-        "each. `none`: this process, one tile after the other. Others: workers that this batch "
-        "system starts, as the section `cluster` says.",
+        description="Where tiles are worked on. `local`: a process for each worker, on this "
+        "machine. `none`: this process, tile by tile. Others: jobs of this batch system, by the "
+        "section `cluster`.",
     )
     scheduler: str | None = Field(
         None,
-        description="Address of a Dask scheduler that is running, such as tcp://10.0.0.1:8786; its "
-        "workers are used instead.",
+        description="Address of a running Dask scheduler whose workers are used, such as "
+        "tcp://10.0.0.1:8786.",
     )
     workers: Annotated[int, Field(ge=1, strict=True)] | Literal["auto"] = Field(
         "auto",
-        description="Workers, or threads where the map is one tile; `auto`: one for each "
-        "available core.",
+        description="Workers, or threads of a map of one tile; `auto`: one for each available "
+        "core.",
     )
     memory: Bytes | Literal["auto"] = Field(
         "auto",
         description="Memory of a worker, such as 2GiB; `auto`: its share of what is free. What "
-        "would take more is refused before any work.",
+        "takes more is refused before any work.",
     )
 
 
@@ -67,18 +67,18 @@ class TilingParameters(BaseModel, extra="forbid", frozen=True):
 
     max_points: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         "auto",
-        description="Points of a tile, at most, its halo not counted. A map of no more is cleaned "
-        "in memory. `auto`: a map is one tile where half of the free memory suffices for it; "
-        "otherwise tiles have one to two million points, as memory and workers allow.",
+        description="Most points of a tile, without its halo. A map of no more is cleaned in "
+        "memory. `auto`: one tile where half of the free memory suffices; otherwise one to two "
+        "million points, as memory and workers allow.",
     )
     halo: Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"] = Field(
         "auto",
         description="Width of the overlap around a tile, metres; `auto`: what most neighbours "
-        "need, if few points lie there. The rest is read from other tiles.",
+        "need, if few points lie there. Others are read from other tiles.",
     )
     format: Literal["parquet", "las", "laz"] = Field(
         "parquet",
-        description="Of the chunks. `las` and `laz` are for maps whose coordinates lie on a grid.",
+        description="Of the chunks. `las` and `laz`: for maps whose coordinates lie on a grid.",
     )
 
 
@@ -112,39 +112,39 @@ class OutputParameters(BaseModel, extra="forbid", frozen=True):
 
     mode: Literal["split", "label"] = Field(
         "split",
-        description="`split`: what stays and what goes, in a file each. `label`: all points in one "
-        "file, with the fields `label` and `density`, `score` where evidence is weighed, and LAS "
-        "classes by `output.classes`.",
+        description="`split`: what stays and what goes, a file each. `label`: all points in one "
+        "file, with the fields `label`, `density` and, with `auto`, `score`; LAS classes by "
+        "`output.classes`.",
     )
     merge: bool = Field(
         False, description="Several files become one, in the map's frame; binary PCD, npy, KITTI's."
     )
     keep_work: bool = Field(
-        False, description="Keep the work folder of a map of several tiles, chunks and all."
+        False, description="Keep the work folder of a map of several tiles, with its chunks."
     )
     keep_free: Size = Field(
         0,
-        description="Space on the disk that is left to others, such as 20GiB: a run that would go "
-        "below is refused before any work.",
+        description="Space on the disk that is left to others, such as 20GiB; a run that needs it "
+        "is refused before any work.",
     )
     report: Literal["html", "none"] = Field(
         "html",
-        description="`html`: write report.html, a page that shows what the run did, offline.",
+        description="`html`: write report.html, which shows offline what the run did.",
     )
     labels: bool | Literal["auto"] = Field(
         "auto",
-        description="Write labels.parquet: label, cluster, density, score and reason of every "
-        "point, from which `apply` decides again. `auto`: of maps of up to 20 million points.",
+        description="Write labels.parquet, from which `apply` decides again: label, cluster, "
+        "density, score and reason of every point. `auto`: of maps of up to 20 million points.",
     )
     voxel: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
         None,
-        description="Edge of voxels, metres: `thinned` has of each the static point nearest to its "
-        "middle.",
+        description="Edge of voxels, metres: `thinned` holds of each the static point nearest to "
+        "its middle.",
     )
     voxel_fields: Literal["nearest", "mean"] = Field(
         "nearest",
         description="Its fields. `nearest`: as they are. `mean`: quantities, coordinates too, are "
-        "means over the static points of the voxel in the same file; binary formats.",
+        "means over the voxel's static points in the same file; binary formats.",
     )
     classes: ClassParameters = ClassParameters()
 
@@ -167,34 +167,34 @@ class InputParameters(BaseModel, extra="forbid", frozen=True):
 
     unit: Literal["auto", "metre", "foot", "us_survey_foot"] = Field(
         "auto",
-        description="Of the coordinates. `auto`: as the map's coordinate reference system says, "
-        "metres where it says nothing; degrees are refused. All lengths in this configuration are "
-        "metres, whatever the map is in; outputs are in the map's own unit.",
+        description="Of the coordinates. `auto`: by the map's CRS, metres where it has none; "
+        "degrees are refused. Lengths in this configuration are always metres; outputs keep the "
+        "map's unit.",
     )
     poses: Annotated[str, AfterValidator(_absolute)] | None = Field(
         None,
-        description="File of the poses of a folder of scans, or of the scans that a map was made "
-        "of, whose points have a scan number or a time: lines of 12 numbers (KITTI), 13 (with the "
-        "time before) or 8 (TUM). null: what lies beside the scans.",
+        description="File of poses, of a folder of scans or of a map whose points have a scan "
+        "number or a time: lines of 12 numbers (KITTI), 13 (the time first) or 8 (TUM). null: what "
+        "lies beside the scans.",
     )
     frame: Literal["auto", "sensor", "map"] = Field(
         "auto", description="Of the points of scans with poses. `auto`: as their layout tells."
     )
     leave_out: tuple[AnyClass, ...] = Field(
         (7, 18),
-        description="ASPRS classes of points that decide nothing and stay in place, `unscored`; 7 "
-        "is low noise, 18 is high noise. Maps in LAS or LAZ.",
+        description="ASPRS classes (LAS, LAZ) that decide nothing and stay, `unscored`; 7 is low "
+        "noise, 18 is high noise.",
     )
     leave_out_withheld: bool = Field(
-        True, description="The same of points with the flag `withheld`: deleted, as LAS has it."
+        True, description="The same of points with the flag `withheld` (deleted)."
     )
     window: tuple[float, float, float, float] | None = Field(
         None,
-        description="x0, y0, x1, y1, metres: what lies elsewhere is kept as it is. Points within "
-        "10 m of it still take part in the decision.",
+        description="x0, y0, x1, y1, metres: points elsewhere stay. Those within 10 m still take "
+        "part in the decision.",
     )
     height: tuple[float, float] | None = Field(
-        None, description="z0, z1, metres: the same for what is lower or higher."
+        None, description="z0, z1, metres: the same for lower and higher points."
     )
 
     @model_validator(mode="after")
@@ -238,7 +238,7 @@ class EvidenceParameters(BaseModel, extra="forbid", frozen=True):
 
     time: Annotated[str, Field(min_length=1), BeforeValidator(_switch)] = Field(
         "auto",
-        description="When points were seen: `auto`, as a field or the order of the rows surely "
+        description="When points were seen. `auto`: as a field or the order of the rows surely "
         "tells; a field's name; or `off`.",
     )
 
