@@ -66,6 +66,9 @@ def pooled_terms(odds: Voxels) -> Terms:
     terms = np.empty((len(odds), len(POOLED_TERMS)), np.float32)
     level, at = odds, np.arange(len(odds), dtype=np.int32)
     for number in range(LEVELS):
+        if number:
+            level, parents = level.coarser()
+            at = parents.take(at)
         sums = level.around()
         terms[:, number] = _mean_odds(sums).take(at)
         terms[:, LEVELS + number] = (sums[:, 1] / sums[:, 0]).take(at)
@@ -73,8 +76,6 @@ def pooled_terms(odds: Voxels) -> Terms:
             terms[:, 2 * LEVELS] = _mean_odds(
                 _column_sums(level.cells, level.sums, level.table)
             ).take(at)
-        level, parents = level.coarser()
-        at = parents.take(at)
     return terms
 
 

@@ -41,7 +41,7 @@ class Level:
     table : (T,) int32 array
         Where each cell is found: see `lattice.find_cell`.
     parents : (V,) int32 array
-        In which voxel of the next level each lies.
+        In which voxel of the next level each lies; of the last level, itself.
     ground : (V,) int64 array
         Ground points in each voxel.
     means : (V, 5) float32 array

@@ -276,6 +276,25 @@ def test_threads_change_nothing_about_a_score():
     assert rounds[0].tobytes() == rounds[1].tobytes()
 
 
+def test_the_order_of_the_points_changes_nothing_about_a_score():
+    points, ground = scene(3000, 9)
+    voxels = Voxels.merged([summarise_points(points), summarise_ground(ground)])
+    model, surroundings = evidence_model(), Surroundings.of(voxels)
+    order = np.random.default_rng(10).permutation(len(points))
+    whole = model.first_round(points, K, surroundings)
+    found = model.first_round(points.part(order), K, surroundings)
+    for one, other in (
+        (whole.log_odds, found.log_odds),
+        (whole.kept, found.kept),
+        (whole.reason, found.reason),
+    ):
+        assert other.tobytes() == one[order].tobytes()
+    odds = summarise_odds(points.xyz, whole.log_odds)
+    scores = model.second_round(points.xyz, whole, odds)
+    again = model.second_round(points.xyz[order], found, odds)
+    assert again.tobytes() == scores[order].tobytes()
+
+
 def test_the_more_confidence_is_asked_for_the_fewer_points_go():
     points, ground = scene(2500, 8)
     xyz = np.concatenate([points.xyz, ground])
