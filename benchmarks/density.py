@@ -31,7 +31,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from sklearn.neighbors import KDTree
 
 from dynahull.kernels import hull_densities
-from dynahull.kernels.compilation import grown_tree, kernels
+from dynahull.kernels.compiled_kernels import grown_tree, kernels
 from dynahull.kernels.solve import Results, make_workspace
 from dynahull.kernels.tree import LEAF_SIZE
 from tiling.formats import open_map
@@ -319,7 +319,7 @@ def start_up() -> None:
     """Print the seconds of a first start, which compiles hulls and ground, and of a later one."""
     program = (
         "import time; begin = time.process_time()\n"
-        "from dynahull.kernels.compilation import kernels; kernels()\n"
+        "from dynahull.kernels.compiled_kernels import kernels; kernels()\n"
         "from dynahull.ground.slope import compile_once; compile_once()\n"
         "print(time.process_time() - begin)\n"
     )

@@ -23,7 +23,7 @@ from benchmarks.density import machine
 from benchmarks.studies.labelled import LabelledMap
 from dynahull import clean
 from pipeline.configuration.run import load_configuration
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 
 SHARE = 0.125
 OTHER_SHARES = (0.10, 0.15, 0.175, 0.20)

@@ -24,8 +24,8 @@ from dynahull.evidence.summaries import ScoredPoints
 from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.ground.methods import ground_mask, height_above_ground
 from dynahull.labels import Label
+from dynahull.observer import Observer, SilentObserver
 from dynahull.parameters import MethodParameters
-from dynahull.progress import Observer, SilentObserver
 from dynahull.protection import protected_points
 from dynahull.removal import Removal, removal_percentages, remove_least_dense, remove_likely
 from dynahull.result import NO_CLUSTER, CleaningResult, ClusterSummary

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynahull.errors import InvalidParametersError, InvalidPointsError
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 
 LARGEST_COORDINATE = 1e150
 """Metres from the origin; see `valid_points`."""

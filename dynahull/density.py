@@ -7,8 +7,8 @@ and the oracle they are tested against.
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.observer import Observer, SilentObserver
 from dynahull.parameters import MethodParameters
-from dynahull.progress import Observer, SilentObserver
 from dynahull.reference import neighbourhoods, reference_densities
 
 SMALLEST_CLUSTER = 4

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 
 FLATNESS = 1e-10
 """Width or thickness, as a share of the length, up to which a neighbourhood has no volume.

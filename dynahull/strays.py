@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 
 HEAP = 10
 """Points at exactly the origin, beyond which they are a heap of invalid returns."""

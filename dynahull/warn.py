@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dynahull.density import SMALLEST_CLUSTER
 from dynahull.evidence.summaries import logarithms
+from dynahull.observer import Observer
 from dynahull.parameters import MethodParameters, RemovalParameters
-from dynahull.progress import Observer
 from dynahull.removal import removal_percentages, smallest_counted
 from dynahull.result import ClusterSummary
 

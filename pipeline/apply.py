@@ -26,6 +26,7 @@ from pipeline.configuration.effect import check_effect, check_work
 from pipeline.configuration.run import Configuration, load_configuration
 from pipeline.eligibility import PROTECTED, check_parts, marks
 from pipeline.errors import ConfigurationError, InputChangedError, OutputError
+from pipeline.metres import open_collection
 from pipeline.outputs.folder import OutputNames, output_folder
 from pipeline.outputs.map_sample import MapSample, is_sampled
 from pipeline.outputs.modes import check_mode, scores_of
@@ -37,11 +38,10 @@ from pipeline.plan.machine import available_cores
 from pipeline.plan.resources import check_space, output_size
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE
-from pipeline.report_page.page import Views
+from pipeline.report_page.report_page import Views
 from pipeline.run import write_account
 from pipeline.scan_numbers import find_scans
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.units import open_collection
 from pipeline.work.files import make_rows, open_rows
 from pipeline.work.job import unchanged
 from tiling.collection import MapCollection, content_hash

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.checking import valid_points
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from dynahull.protection import protected_points
 from dynahull.strays import Outskirts, Strays, is_at_origin
 from pipeline.configuration.run import Configuration, InputParameters

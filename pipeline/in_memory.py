@@ -22,7 +22,7 @@ from pipeline.outputs.writing import CleanedMap, make_places, write_maps
 from pipeline.places import Decision, DecisionSums
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
-from pipeline.report_page.page import Views
+from pipeline.report_page.report_page import Views
 from pipeline.scan_numbers import find_scans
 from pipeline.scan_source import ScanSource
 from tiling.collection import MapCollection

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, SkipValidation
 
 from pipeline.configuration.run import Configuration
+from pipeline.metres import in_words
 from pipeline.scan_numbers import find_scans
-from pipeline.units import in_words
 from tiling.collection import MapCollection, find_map_files
 from tiling.foreign_text import LONGEST_LINE, escaped, printable
 from tiling.formats import MapReader

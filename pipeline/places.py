@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, added, cells_of
 from dynahull.evidence.reasons import REASONS
+from dynahull.evidence.voxels import Cells, Floats, Integers, Voxels, added, cells_of
 
 SCORE_STEPS = 100
 """Steps of a score that are counted, each a hundredth."""

@@ -10,6 +10,7 @@ from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import check_parts, survey_map
 from pipeline.errors import OutputError, PlanError
+from pipeline.metres import open_collection
 from pipeline.outputs.folder_lock import locked_folder
 from pipeline.plan.machine import available_cores
 from pipeline.plan.plan import check_plan, draw_plan, make_plan
@@ -19,7 +20,6 @@ from pipeline.replacing import refuse_own_folders
 from pipeline.scan_numbers import find_scans
 from pipeline.showing import check_named_file, drawable, only_showing, printable
 from pipeline.tiles.cleaning import gather_chunks, plan_tiles
-from pipeline.units import open_collection
 from pipeline.work.folder import REMOVED_FOLDER, WORK_FOLDER, remove_work
 from pipeline.work.job import CHUNKS_FOLDER, unchanged
 from pipeline.work.opening import open_job

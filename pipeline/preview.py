@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import survey_map
 from pipeline.errors import ConfigurationError, OutputError
+from pipeline.metres import open_collection
 from pipeline.outputs.folder import default_folder
 from pipeline.outputs.run_report import RunReport
 from pipeline.plan.machine import available_cores
 from pipeline.progress import StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
-from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.points import PointBatch
 from tiling.output_file import atomic_file, writing_only_into

@@ -34,7 +34,7 @@ class Display:
 class StageObserver:
     """Keeps the seconds of each stage and the warnings, and drives a display.
 
-    An `Observer` in the sense of `dynahull.progress`.
+    An `Observer` in the sense of `dynahull.observer`.
 
     Attributes
     ----------

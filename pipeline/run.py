@@ -18,6 +18,7 @@ from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
 from pipeline.errors import OutputError
 from pipeline.in_memory import clean_in_memory
+from pipeline.metres import open_collection
 from pipeline.outputs.folder import OutputNames, default_folder, output_folder
 from pipeline.outputs.map_sample import MapSample
 from pipeline.outputs.modes import check_mode
@@ -38,14 +39,13 @@ from pipeline.plan.resources import (
 from pipeline.progress import StageObserver
 from pipeline.replacing import CONFIGURATION_FILE, LABELS_FILE, REPORT_FILE, RUN_FILE
 from pipeline.report_page.charts import TileWork
-from pipeline.report_page.page import Views, render_page
+from pipeline.report_page.report_page import Views, render_page
 from pipeline.scan_numbers import check_time
 from pipeline.showing import only_showing
 from pipeline.tiles.cleaning import clean_tiles, find_times
 from pipeline.tiles.labelling import SCORES, gather_decision, seen_by_scans, tile_work
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.writing import finish_parts, growing_outputs, kept_scores, plan_parts
-from pipeline.units import open_collection
 from pipeline.work.files import open_rows
 from pipeline.work.folder import WORK_FOLDER, remove_work
 from pipeline.work.job import Job, unchanged

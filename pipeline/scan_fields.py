@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.scan_source import TENTH, UNKNOWN, ScanSource, whole_numbers
 from tiling.collection import MapCollection
 from tiling.errors import MapFormatError

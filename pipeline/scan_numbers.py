@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.progress import Observer, SilentObserver
+from dynahull.observer import Observer, SilentObserver
 from pipeline.configuration.run import Configuration
 from pipeline.errors import ConfigurationError
 from pipeline.scan_fields import LEAST_SCANS, Overlap, Tally, candidates, tallies_of

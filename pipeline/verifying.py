@@ -17,12 +17,12 @@ from dynahull.removal import removable_count, removal_count, removal_percentages
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import PROTECTED, marks
 from pipeline.errors import OutputError, VerificationError
+from pipeline.metres import open_collection
 from pipeline.outputs.modes import DENSITY, LABEL, SCORE, mode_of, scores_of
 from pipeline.outputs.reading import added_values, row_columns
 from pipeline.outputs.run_report import InputFile, RunReport
 from pipeline.outputs.writing import MapPart, parts_of
 from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
-from pipeline.units import open_collection
 from tiling.collection import MapCollection, content_hash
 from tiling.foreign_text import printable_path
 from tiling.formats import MapReader, PointBatch, open_map

@@ -16,7 +16,7 @@ from benchmarks.compare.results import Result
 from benchmarks.compare.scene import Scene
 from pipeline.errors import EvaluationError
 from pipeline.evaluation.inputs import EvaluationOptions
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 
 __all__ = ["Comparison"]
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.compare.scene import Scene
-from dynahull.progress import SilentObserver
-from pipeline.evaluation.evaluate import Figures, evaluate
+from dynahull.observer import SilentObserver
+from pipeline.evaluation.evaluation import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions
-from pipeline.evaluation.labels import RowValues, Truth
+from pipeline.evaluation.truth import RowValues, Truth
 from tiling.collection import MapCollection
 
 __all__ = ["evaluation_options", "measure"]

@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import NamedTuple
 
 from benchmarks.compare.isolated import Outcome
-from pipeline.evaluation.evaluate import Figures
+from pipeline.evaluation.evaluation import Figures
 from pipeline.evaluation.scoring import Scores
 
 __all__ = ["COLUMNS", "Result", "Row", "Spread", "row_of"]

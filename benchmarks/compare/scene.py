@@ -52,7 +52,7 @@ class Scene:
     xyz : (N, 3) float64 array
         The map, metres.
     labels : (N,) int8 array
-        `pipeline.evaluation.labels.Truth`; only known points are scored.
+        `pipeline.evaluation.truth.Truth`; only known points are scored.
     scan : (N,) int32 array
         The scan that saw each point.
     poses : (S, 3, 4) float64 array

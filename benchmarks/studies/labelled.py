@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pipeline.configuration.run import load_parameters
-from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.scoring import DynamicMapAccuracy, Tally
+from pipeline.evaluation.truth import Truth
 from pipeline.simulation import SimulationParameters, simulate
 
 __all__ = ["LabelledMap", "labelled_map"]
@@ -26,7 +26,7 @@ class LabelledMap:
     xyz : (N, 3) float64 array
         Metres.
     labels : (N,) int8 array
-        `pipeline.evaluation.labels.Truth`.
+        `pipeline.evaluation.truth.Truth`.
     to_truth : (N,) float64 array
         Distance to the nearest static point, metres.
     """

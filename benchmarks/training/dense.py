@@ -23,10 +23,10 @@ from benchmarks.training.maps import (
     thinned,
     window,
 )
-from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.summaries import summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import TERMS, evidence
+from dynahull.evidence.voxels import Voxels
 from pipeline.simulation.meshes import (
     DriveMode,
     MeshParameters,

@@ -12,11 +12,11 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
-from dynahull.evidence.lattice import cells_of
 from dynahull.evidence.model import FIRST_ODDS, MAP_ONLY, AskedTerms, pooled_terms
-from dynahull.evidence.stages import StagedForest
+from dynahull.evidence.staged_forest import StagedForest
 from dynahull.evidence.summaries import FINEST, summarise_odds
 from dynahull.evidence.terms import FALLING, RISING, places_of
+from dynahull.evidence.voxels import cells_of
 
 _BATCH = 100_000
 

@@ -19,7 +19,7 @@ from benchmarks.training.fitting import (
 )
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.stages import StagedForest
+from dynahull.evidence.staged_forest import StagedForest
 
 _EDGES = np.array([0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 _STEPS = 200

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from dynahull.algorithm import find_clusters, set_ground_aside
 from dynahull.density import SPREAD_COLUMNS, cluster_densities
-from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import SEEN_TERMS, TERMS, TIMED_TERMS, evidence
 from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
+from dynahull.evidence.voxels import Voxels
+from dynahull.observer import SilentObserver
 from dynahull.parameters import MethodParameters
-from dynahull.progress import SilentObserver
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
 from pipeline.simulation.meshes import MeshParameters, random_parameters, simulate_meshes
 

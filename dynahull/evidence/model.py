@@ -18,18 +18,9 @@ import numpy.typing as npt
 from dynahull.compilation import compiled
 from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.lattice import (
-    Cells,
-    Floats,
-    Integers,
-    Voxels,
-    cells_of,
-    find_cell,
-    order_of,
-)
 from dynahull.evidence.range_images import Views, draw_images
 from dynahull.evidence.reasons import NO_REASON, reasons
-from dynahull.evidence.stages import StagedForest
+from dynahull.evidence.staged_forest import StagedForest
 from dynahull.evidence.summaries import (
     FINEST,
     LEVELS,
@@ -42,6 +33,15 @@ from dynahull.evidence.surroundings import Surroundings, Terms
 from dynahull.evidence.terms import BOXES, TERMS, TIMED_TERMS, evidence, places_of
 from dynahull.evidence.viewpoints import Viewpoints
 from dynahull.evidence.visits import Scans
+from dynahull.evidence.voxels import (
+    Cells,
+    Floats,
+    Integers,
+    Voxels,
+    cells_of,
+    find_cell,
+    order_of,
+)
 from dynahull.threads import over_ranges
 
 POOLED_TERMS = (

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled, helper
-from dynahull.evidence.lattice import Cells, Floats, Integers
 from dynahull.evidence.visits import Scans
+from dynahull.evidence.voxels import Cells, Floats, Integers
 from dynahull.threads import over_items
 
 FACE = 90

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from dynahull.evidence.stages import StagedForest
+from dynahull.evidence.staged_forest import StagedForest
 from dynahull.evidence.terms import TIMED_TERMS
 
 REASONS: dict[str, tuple[str, ...]] = {

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled, inlined
-from dynahull.evidence.lattice import Cells, Floats, Integers
+from dynahull.evidence.voxels import Cells, Floats, Integers
 from dynahull.kernels.spread import principal_axes
 
 STEP = 0.001

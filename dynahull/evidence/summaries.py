@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled
-from dynahull.evidence.lattice import Cells, Floats, Integers, Voxels, cells_of
 from dynahull.evidence.shapes import MOMENTS, moments_of, moved_moments
 from dynahull.evidence.visits import SPANS, Scans, marks_of
+from dynahull.evidence.voxels import Cells, Floats, Integers, Voxels, cells_of
 
 FINEST = 0.1
 """Side of the finest voxels, metres; each level above has twice the side."""

@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled
-from dynahull.evidence.lattice import Cells, Integers, Voxels, find_cell
 from dynahull.evidence.range_images import CLEARLY, MET, THROUGH, VIEWS, Views
 from dynahull.evidence.shapes import shapes_of
 from dynahull.evidence.summaries import COLUMNS, FINEST, GROUND, LEVELS, SCORED
 from dynahull.evidence.summaries import SHAPE as MOMENTS_BEGIN
 from dynahull.evidence.visits import scan_counts
+from dynahull.evidence.voxels import Cells, Integers, Voxels, find_cell
 
 SHAPED_LEVELS = 3
 """The shape is read over boxes of 0.3, 0.6 and 1.2 m."""

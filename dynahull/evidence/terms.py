@@ -4,10 +4,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled, inlined
-from dynahull.evidence.lattice import Cells, Floats, Integers, cells_of, find_cell
 from dynahull.evidence.summaries import FINEST, LEVELS, THINNEST, ScoredPoints
 from dynahull.evidence.surroundings import Surroundings, Terms
 from dynahull.evidence.visits import SPANS
+from dynahull.evidence.voxels import Cells, Floats, Integers, cells_of, find_cell
 
 FLOOR_TERMS = ("height", "aloft", "over", "under", "ground_seen", "ground_near")
 """Height above the floor, up to the reach of people, and above that reach; voxels of 0.4 m that are

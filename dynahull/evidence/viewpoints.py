@@ -12,8 +12,8 @@ from typing import Self
 import numpy as np
 
 from dynahull.checking import valid_points
-from dynahull.evidence.lattice import Floats, Voxels, cells_of
 from dynahull.evidence.visits import Scans
+from dynahull.evidence.voxels import Floats, Voxels, cells_of
 
 _STEP = 0.5
 """Metres: medians are found in steps, so that they are those of parts of the map together."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dynahull.compilation import compiled, inlined
-from dynahull.evidence.lattice import Integers
+from dynahull.evidence.voxels import Integers
 
 Scans = npt.NDArray[np.int32]
 

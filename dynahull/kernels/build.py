@@ -8,7 +8,7 @@ mispredicted.
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled, inlined
+from dynahull.kernels.decorators import compiled, inlined
 from dynahull.kernels.tree import LEAF_SIZE, Tree, Walk, add_halves, begin_walk
 from dynahull.kernels.vectors import extremes, lowest_place, places_from, places_up_to
 

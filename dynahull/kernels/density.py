@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dynahull.density import SPREAD_COLUMNS
 from dynahull.errors import InvalidParametersError, InvalidPointsError
-from dynahull.kernels.compilation import grown_tree, kernels
+from dynahull.kernels.compiled_kernels import grown_tree, kernels
 from dynahull.kernels.solve import Results, Workspace, make_workspace
 from dynahull.kernels.tree import LEAF_SIZE
 from dynahull.kernels.vectors import INDEX_BITS

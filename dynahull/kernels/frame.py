@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import inlined
+from dynahull.kernels.decorators import inlined
 from dynahull.kernels.lanes import aligned, padded
 from dynahull.kernels.vectors import extremes, largest
 from dynahull.reference import FLATNESS

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled, inlined
+from dynahull.kernels.decorators import compiled, inlined
 from dynahull.kernels.frame import SHAKES, Neighbourhood, enter_frame, place_of_largest, set_on_grid
 from dynahull.kernels.lanes import aligned, padded
 from dynahull.kernels.predicates import (

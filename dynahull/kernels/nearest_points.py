@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.kernels.closest import NO_RANK
-from dynahull.kernels.compilation import grown_tree, kernels
+from dynahull.kernels.compiled_kernels import grown_tree, kernels
 from dynahull.kernels.tree import make_walk
 from dynahull.threads import over_ranges
 

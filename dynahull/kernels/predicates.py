@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from dynahull.kernels.compiled import compiled, inlined
+from dynahull.kernels.decorators import compiled, inlined
 from dynahull.kernels.frame import STEP, Neighbourhood
 from dynahull.kernels.tree import Place
 

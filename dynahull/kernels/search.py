@@ -24,10 +24,10 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from dynahull.kernels.candidates import Candidates
-from dynahull.kernels.compiled import inlined
+from dynahull.kernels.decorators import inlined
 from dynahull.kernels.lanes import INDEX, VectorLoop
-from dynahull.kernels.nearest import Nearest, Pool, keep_nearest
+from dynahull.kernels.nearby_leaves import Candidates
+from dynahull.kernels.nearest_heap import Nearest, Pool, keep_nearest
 from dynahull.kernels.tree import LEAF_SIZE, Tree, point_distance
 
 

@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.candidates import (
+from dynahull.kernels.decorators import compiled, inlined
+from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
+from dynahull.kernels.hull import Surface, hull_volume, make_surface
+from dynahull.kernels.nearby_leaves import (
     Candidates,
     bound_from,
     copy_candidates,
     gather_candidates,
     make_candidates,
 )
-from dynahull.kernels.compiled import compiled, inlined
-from dynahull.kernels.frame import Neighbourhood, make_neighbourhood
-from dynahull.kernels.hull import Surface, hull_volume, make_surface
-from dynahull.kernels.nearest import (
+from dynahull.kernels.nearest_heap import (
     Nearest,
     Pool,
     heapify,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import inlined
+from dynahull.kernels.decorators import inlined
 from dynahull.kernels.frame import Neighbourhood
 
 _SWEEPS = 6

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled, inlined
+from dynahull.kernels.decorators import compiled, inlined
 from dynahull.kernels.lanes import aligned
 
 Place = tuple[float, float, float]

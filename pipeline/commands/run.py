@@ -289,9 +289,9 @@ def _exit_code_of_night(settings: "NightlySettings", retry: bool) -> int:
     """Spend a night, and return what the command ends with."""
     from pipeline.errors import NightLockedError, NightlyError  # noqa: PLC0415
     from pipeline.nightly.clock import Clock, NightEnd  # noqa: PLC0415
+    from pipeline.nightly.minutes import EXIT_LOCKED, EXIT_WELL  # noqa: PLC0415
     from pipeline.nightly.night import clean_nightly  # noqa: PLC0415
     from pipeline.nightly.one_map import Cleaner  # noqa: PLC0415
-    from pipeline.nightly.summary import EXIT_LOCKED, EXIT_WELL  # noqa: PLC0415
 
     clock = Clock()
     end = NightEnd(clock, settings.stop_after)

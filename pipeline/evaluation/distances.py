@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.configuration.quantities import in_units
 from pipeline.errors import EvaluationError, PlanError
 from pipeline.evaluation.inputs import EvaluationOptions, GroundCost

@@ -12,16 +12,16 @@ from dynahull import Label
 from dynahull.parameters import validation_message
 from pipeline.configuration.run import InputParameters
 from pipeline.errors import ConfigurationError, EvaluationError
-from pipeline.evaluation.labels import (
+from pipeline.evaluation.truth import (
     RowValues,
     is_label_table,
     parse_values,
     read_label_table,
     read_labels_of_map,
 )
+from pipeline.metres import open_collection
 from pipeline.outputs.reading import label_batches, row_columns
 from pipeline.replacing import LABELS_FILE, RUN_FILE, no_result
-from pipeline.units import open_collection
 from tiling.collection import MapCollection, find_map_files
 from tiling.formats.parquet_tables import row_count
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.errors import EvaluationError
-from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.tiled_cloud import TiledCloud
+from pipeline.evaluation.truth import Truth
 from pipeline.showing import drawing_library, named_file
 
 MOST_PIXELS, LEAST_PIXELS = 1200, 300

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from pipeline.errors import ConfigurationError
 from pipeline.evaluation.distances import ChamferDistance, DistanceStatistics, EarthMoversDistance
-from pipeline.evaluation.evaluate import Figures, evaluate
+from pipeline.evaluation.evaluation import Figures, evaluate
 from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions, find_inputs
 from pipeline.evaluation.scoring import Confusion, DynamicMapAccuracy, Preservation
 from pipeline.plan.machine import peak_memory

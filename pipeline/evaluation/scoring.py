@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.evaluation.inputs import EvaluationOptions
-from pipeline.evaluation.labels import Labels, Truth
 from pipeline.evaluation.tiled_cloud import (
     TiledCloud,
     distance_apart,
@@ -19,6 +18,7 @@ from pipeline.evaluation.tiled_cloud import (
     look_up,
     voxel_cells,
 )
+from pipeline.evaluation.truth import Labels, Truth
 
 
 def percentage(part: int, whole: int) -> float | None:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from dynahull.checking import valid_points
 from dynahull.kernels import NO_RANK, NearestSearch
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.errors import EvaluationError
-from pipeline.evaluation.labels import Labels, RowReader, RowValues, Truth
+from pipeline.evaluation.truth import Labels, RowReader, RowValues, Truth
 from pipeline.plan.machine import available_cores
 from tiling.collection import MapCollection
 from tiling.formats.points import PointBatch

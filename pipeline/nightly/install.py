@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.errors import ConfigurationError
+from pipeline.nightly.minutes import INDEX_FILE
 from pipeline.nightly.settings import NightlySettings
-from pipeline.nightly.summary import INDEX_FILE
 
 LOG_FILE = "nightly.log"
 """Where cron's line puts the log, in the output folder."""

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from pipeline.configuration.run import Configuration
 from pipeline.nightly.journal import Fingerprint, MapRecord
+from pipeline.nightly.minutes import MapOutcome
 from pipeline.nightly.results import MapFolder, result_key, tasks_done
 from pipeline.nightly.settings import NightlyInput, NightlySettings
-from pipeline.nightly.summary import MapOutcome
 from pipeline.showing import is_text
 from tiling.collection import content_hash, find_map_files
 from tiling.errors import NoMapError, SeveralMapsError, TilingError

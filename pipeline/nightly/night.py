@@ -23,6 +23,14 @@ from pipeline.nightly.inventory import (
     verdict,
 )
 from pipeline.nightly.journal import Attempt, Failure, Fingerprint, Journal, MapRecord
+from pipeline.nightly.minutes import (
+    INDEX_FILE,
+    MapOutcome,
+    Minutes,
+    NightSummary,
+    refuse_to_replace,
+    write_index,
+)
 from pipeline.nightly.one_map import Cleaner, Ended, Request
 from pipeline.nightly.results import (
     MapFolder,
@@ -34,14 +42,6 @@ from pipeline.nightly.results import (
     tasks_done,
 )
 from pipeline.nightly.settings import NightlySettings
-from pipeline.nightly.summary import (
-    INDEX_FILE,
-    MapOutcome,
-    Minutes,
-    NightSummary,
-    refuse_to_replace,
-    write_index,
-)
 from pipeline.outputs.folder_lock import folder_is_locked, locked_folder
 from pipeline.plan.resources import check_space
 from pipeline.showing import only_showing, printable

@@ -11,9 +11,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.evidence.lattice import cells_of, unique_cells
 from dynahull.evidence.range_images import MET, THROUGH, Views
 from dynahull.evidence.summaries import FINEST
+from dynahull.evidence.voxels import cells_of, unique_cells
 from dynahull.labels import Label
 
 MOST_POINTS = 300_000

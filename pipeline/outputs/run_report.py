@@ -12,13 +12,13 @@ from pydantic import BaseModel, SkipValidation
 from dynahull.result import ClusterSummary
 from pipeline.configuration.run import Configuration, is_elsewhere
 from pipeline.errors import OutputError
+from pipeline.metres import of_map
 from pipeline.outputs.folder import OutputNames
 from pipeline.places import Decision, Place
 from pipeline.plan.machine import available_cores, peak_memory, peak_of_workers
 from pipeline.progress import StageObserver
 from pipeline.replacing import LABELS_FILE, REPORT_FILE, RUN_FILE, no_result
 from pipeline.showing import printable
-from pipeline.units import of_map
 from tiling.collection import MapCollection
 
 FileName = Annotated[str, SkipValidation]

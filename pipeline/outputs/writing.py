@@ -22,7 +22,7 @@ from pipeline.outputs.modes import OutputMode, Scores, mode_of
 from pipeline.places import Decision
 from pipeline.progress import StageObserver
 from pipeline.report_page.charts import TileWork
-from pipeline.report_page.page import Views
+from pipeline.report_page.report_page import Views
 from tiling.collection import MapCollection
 from tiling.formats import MapReader, PointBatch, open_map
 from tiling.formats.points import DEFAULT_BATCH

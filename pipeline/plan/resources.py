@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dynahull.evidence.range_images import HELD_BYTES
 from dynahull.ground.reach import ground_radius
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.configuration.quantities import in_units
 from pipeline.configuration.run import Configuration, is_elsewhere
 from pipeline.errors import DiskSpaceError, PlanError

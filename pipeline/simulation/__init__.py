@@ -9,7 +9,6 @@ queue, and machines drive. `simulate` gathers its scans into one map, as SLAM wo
 from pipeline.simulation.meshes.parameters import load_simulation
 from pipeline.simulation.output import SimulationFiles, write_simulation
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.points import Points
 from pipeline.simulation.scans import (
     SimulatedMap,
     SimulatedScan,
@@ -18,6 +17,7 @@ from pipeline.simulation.scans import (
     simulate_scans,
 )
 from pipeline.simulation.scene import SceneKind, Surface
+from pipeline.simulation.tables import Points
 
 __all__ = [
     "Points",

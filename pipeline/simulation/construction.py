@@ -11,8 +11,8 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Scene, Shapes, Surface
+from pipeline.simulation.tables import Floats, Random
 
 HEIGHT = 3.0
 WALL_THICKNESS = 0.2

@@ -12,8 +12,8 @@ import numpy as np
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import door, glass_wall, passage, window
 from pipeline.simulation.movers import automated_vehicle, forklift
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Place, Scene, Walkways, on_floor
+from pipeline.simulation.tables import Floats, Random
 
 LENGTH, WIDTH = 30.0, 25.0
 _CORRIDOR = 3.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.simulation.parameters import SimulationParameters
-from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.tables import Floats, Random
 
 TURN_RATE = np.radians(90.0)  # how fast the robot turns on the spot, in radians per second
 TILT_RATE = 0.2  # how fast it takes on the slope of a ramp, in rise over distance per second

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.simulation.motion import CLEARANCE, Trajectory, drive, keep_clear
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Scene, Shapes, Surface, Walkways
+from pipeline.simulation.tables import Floats, Random
 
 WALKING_SPEED = (0.9, 1.6)  # slowest and fastest walker, in metres per second
 STOP_PROBABILITY = 0.25  # how often a walker stops at a place

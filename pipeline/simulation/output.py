@@ -17,9 +17,9 @@ from pipeline.errors import OutputError
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.simulate import mesh_scans
 from pipeline.simulation.parameters import SimulationParameters, nothing_seen
-from pipeline.simulation.points import Points
 from pipeline.simulation.scans import SimulatedScan, simulate_scans
 from pipeline.simulation.scene import Surface
+from pipeline.simulation.tables import Points
 from tiling.output_file import create_file, writing_only_into
 
 POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "intensity")),

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.points import Columns, Floats
 from pipeline.simulation.scene import Shapes
+from pipeline.simulation.tables import Columns, Floats
 from tiling.compiled import compiled
 
 _ALMOST_ZERO = 1e-30  # stands in for a direction component of 0, which cannot be divided by

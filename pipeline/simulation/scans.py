@@ -17,10 +17,10 @@ from pipeline.simulation.indoor import indoor_scene
 from pipeline.simulation.motion import drift, drive, pose_matrix, rotations, to_map, to_sensor
 from pipeline.simulation.movers import populate
 from pipeline.simulation.parameters import POINTS_OF_A_BLOCK, RINGS, SimulationParameters
-from pipeline.simulation.points import Floats, Points, Random
 from pipeline.simulation.raycasting import Hits, first_hits, first_moving_hits
 from pipeline.simulation.scene import Scene, SceneKind
 from pipeline.simulation.street import street_scene
+from pipeline.simulation.tables import Floats, Points, Random
 from pipeline.simulation.two_levels import ramp_scene, storeys_scene
 
 RING_ELEVATIONS = np.radians(np.linspace(-15.0, 15.0, RINGS))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulation.points import Columns, Floats, Random
+from pipeline.simulation.tables import Columns, Floats, Random
 
 
 class SceneKind(StrEnum):

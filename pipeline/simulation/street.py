@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.simulation.construction import Builder, Span
 from pipeline.simulation.movers import bicycle, car
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Place, Scene, Surface, Walkways
+from pipeline.simulation.tables import Floats, Random
 
 LENGTH, WIDTH = 120.0, 40.0
 _MIDDLE = WIDTH / 2

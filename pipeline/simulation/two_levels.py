@@ -10,8 +10,8 @@ import numpy as np
 from pipeline.simulation import construction as c
 from pipeline.simulation.construction import glass_wall, passage, window
 from pipeline.simulation.movers import automated_vehicle, forklift
-from pipeline.simulation.points import Random
 from pipeline.simulation.scene import Place, Scene, Surface, Walkways, on_floor
+from pipeline.simulation.tables import Random
 
 LENGTH, WIDTH = 30.0, 25.0
 _WALL = 0.1  # half a wall

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters, sample_rows
-from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.viewpoints import Viewpoints
+from dynahull.evidence.voxels import Voxels
 from dynahull.labels import Label
 from dynahull.removal import removal_percentages
 from dynahull.result import ClusterSummary

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynahull.checking import valid_points
-from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.viewpoints import count_coordinates
+from dynahull.evidence.voxels import Voxels
 from dynahull.labels import Label
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from dynahull.strays import Strays, is_at_origin, warn_of_strays
 from pipeline.eligibility import LEFT_OUT, PROTECTED, Watcher, hidden, may_mark, warn_of_left_out
 from pipeline.work.files import open_rows, read_sealed, write_rows, write_sealed

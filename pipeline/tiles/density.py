@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from dynahull.clustering import Clusters, fit_clusters
 from dynahull.density import SPREAD_COLUMNS
-from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.range_images import Returns
 from dynahull.evidence.summaries import (
     ScoredPoints,
@@ -18,6 +17,7 @@ from dynahull.evidence.summaries import (
     summarise_ground,
     summarise_points,
 )
+from dynahull.evidence.voxels import Voxels
 from dynahull.labels import Label
 from dynahull.warn import density_levels
 from pipeline.tiles.borders import CoreDensities, Region, core_densities

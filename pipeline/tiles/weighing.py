@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.evidence.lattice import Voxels
 from dynahull.evidence.model import (
     EvidenceModel,
     FirstRound,
@@ -28,6 +27,7 @@ from dynahull.evidence.summaries import (
     summarise_odds,
 )
 from dynahull.evidence.surroundings import Surroundings
+from dynahull.evidence.voxels import Voxels
 from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.borders import Region
 from pipeline.tiles.density import RETURNS, VOXELS, divided, scores_of

@@ -17,8 +17,8 @@ from dynahull.clustering import Clusters
 from dynahull.evidence.viewpoints import Viewpoints
 from pipeline.configuration.run import Configuration
 from pipeline.errors import InputChangedError
+from pipeline.metres import open_collection
 from pipeline.scan_source import ScanSource
-from pipeline.units import open_collection
 from pipeline.work.files import open_rows, read_arrays, read_sealed, write_sealed
 from pipeline.work.folder import WorkFolder
 from tiling.chunks import ChunkStore

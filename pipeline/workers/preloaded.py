@@ -10,7 +10,7 @@ import pyarrow as pa
 from dynahull import ground, kernels
 from dynahull.compilation import is_compiled
 from dynahull.ground.slope import compile_once
-from dynahull.kernels.compilation import kernels as compiled_kernels
+from dynahull.kernels.compiled_kernels import kernels as compiled_kernels
 from pipeline.workers.local_dask import site_settings_aside
 
 with site_settings_aside():

@@ -60,7 +60,7 @@ def crossing():
 
 
 def test_in_the_crossing_all_but_the_box_lies_on_the_hall(crossing):
-    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+    from pipeline.evaluation.truth import Truth  # noqa: PLC0415
 
     moved = crossing.labels == Truth.DYNAMIC
     sides = np.abs(crossing.xyz - [[0, 0, 3]])
@@ -130,7 +130,7 @@ def test_among_strays_all_but_the_floor_is_alone():
     from scipy.spatial import KDTree  # noqa: PLC0415
 
     from benchmarks.compare.data.strays import strays_scene  # noqa: PLC0415
-    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+    from pipeline.evaluation.truth import Truth  # noqa: PLC0415
 
     scene = strays_scene()
     strays = scene.labels == Truth.DYNAMIC
@@ -213,7 +213,7 @@ def test_tables_tell_means_and_ranges():
 
 def test_what_is_always_there_is_static_and_what_passes_is_not():
     from benchmarks.compare.data.occupancy import labels_by_occupancy  # noqa: PLC0415
-    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+    from pipeline.evaluation.truth import Truth  # noqa: PLC0415
 
     places = {"wall": (1.05, 1.05, 1.05), "person": (2.05, 0.05, 0.05), "stray": (3.05, 3.05, 0.05)}
     places["slanting"] = (-4.05, -1.05, 0.05)
@@ -322,7 +322,7 @@ def test_scenes_of_the_first_seed_come_first():
 
 def test_halves_of_the_street_are_maps_of_their_own(tmp_path):
     from benchmarks.compare.data import recorded  # noqa: PLC0415
-    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+    from pipeline.evaluation.truth import Truth  # noqa: PLC0415
 
     points = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
     random = np.random.default_rng(0)

@@ -25,7 +25,7 @@ def wall_and_ghost():
 
 
 def test_distances_and_accuracy_are_those_of_what_is_kept(wall_and_ghost):
-    from pipeline.evaluation.labels import Truth  # noqa: PLC0415
+    from pipeline.evaluation.truth import Truth  # noqa: PLC0415
 
     assert (Truth.STATIC, Truth.DYNAMIC) == (0, 1)
     kept = np.array([1, 1, 1, 0, 1, 0], np.bool_)

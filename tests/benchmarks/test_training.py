@@ -32,7 +32,7 @@ from benchmarks.training.judging import (
 from benchmarks.training.maps import MOVED, STATIC, UNKNOWN, TrainingMap
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
-from dynahull.evidence.stages import StagedForest
+from dynahull.evidence.staged_forest import StagedForest
 from dynahull.evidence.terms import FALLING, RISING, SEEN_TERMS, TERMS, TIMED_TERMS
 from pipeline.simulation.meshes import DriveMode, MeshSceneKind
 

@@ -12,7 +12,7 @@ from dynahull import compilation
 PROGRAM = """
 import logging
 logging.basicConfig()
-from dynahull.kernels.compilation import kernels
+from dynahull.kernels.compiled_kernels import kernels
 compiled = kernels()
 print("read" if sum(compiled.solve.stats.cache_hits.values()) else "compiled")
 """

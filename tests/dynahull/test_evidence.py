@@ -10,7 +10,6 @@ from hypothesis.extra import numpy as arrays
 
 from dynahull import Label, clean
 from dynahull.density import reference_spreads
-from dynahull.evidence.lattice import Voxels, cells_of
 from dynahull.evidence.model import (
     MODELS,
     POOLED_TERMS,
@@ -34,6 +33,7 @@ from dynahull.evidence.summaries import (
 from dynahull.evidence.surroundings import Surroundings, _columns
 from dynahull.evidence.terms import FALLING, RISING, TERMS, TIMED_TERMS, evidence, places_of
 from dynahull.evidence.visits import marks_of, scan_counts
+from dynahull.evidence.voxels import Voxels, cells_of
 from dynahull.kernels import hull_densities
 
 K = 12

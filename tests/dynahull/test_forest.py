@@ -14,7 +14,7 @@ import dynahull
 from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
 from dynahull.evidence.model import MODELS, EvidenceModel, evidence_model
-from dynahull.evidence.stages import StagedForest
+from dynahull.evidence.staged_forest import StagedForest
 from dynahull.evidence.terms import TERMS
 
 STORED = {

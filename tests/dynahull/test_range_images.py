@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from dynahull import clean
 from dynahull.errors import InvalidPointsError
 from dynahull.evidence import viewpoints
-from dynahull.evidence.lattice import cells_of
 from dynahull.evidence.range_images import (
     CLEARLY,
     FACE,
@@ -24,6 +23,7 @@ from dynahull.evidence.range_images import (
     draw_images,
 )
 from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
+from dynahull.evidence.voxels import cells_of
 
 FACES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 

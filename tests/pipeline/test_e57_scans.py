@@ -7,11 +7,11 @@ import pytest
 from dynahull import Label, clean
 from pipeline.configuration.run import load_configuration
 from pipeline.info import inspect_map
+from pipeline.metres import open_collection
 from pipeline.preview import WHOLE, preview
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
-from pipeline.units import open_collection
 from tests.pipeline.test_key_frames import CLOUDS, EACH, FRAMES, POSES, WORLD, points_of, quaternion
 from tests.tiling.test_e57 import libe57, real, structure, text
 

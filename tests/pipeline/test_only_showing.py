@@ -8,13 +8,13 @@ import pytest
 from pipeline import planning, progress
 from pipeline import run as run_module
 from pipeline.configuration.run import load_configuration
-from pipeline.evaluation import evaluate
+from pipeline.evaluation import evaluation
 from pipeline.evaluation.inputs import EvaluationOptions
 from pipeline.evaluation.report import evaluate_files
 from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver, watching
 from pipeline.report_page.charts import Axis
-from pipeline.report_page.page import Views
+from pipeline.report_page.report_page import Views
 from pipeline.run import run
 from tests.pipeline.test_nothing_overwritten import FAST, TILED, save
 
@@ -89,7 +89,7 @@ def test_an_evaluation_without_its_picture_has_its_figures(tmp_path, monkeypatch
     pytest.importorskip("matplotlib")
     given = save(tmp_path / "map.npy")
     clean(given, tmp_path / "out", *FAST)
-    monkeypatch.setattr(evaluate, "draw_picture", broken)
+    monkeypatch.setattr(evaluation, "draw_picture", broken)
     report = evaluate_files(
         str(tmp_path / "out"),
         str(tmp_path / "out/static.npy"),

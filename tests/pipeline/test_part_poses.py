@@ -8,10 +8,10 @@ from scipy.spatial import cKDTree
 
 from pipeline import preview as previews
 from pipeline.configuration.run import load_configuration
+from pipeline.metres import open_collection
 from pipeline.preview import WHOLE, Window, preview
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.scan_numbers import find_scans
-from pipeline.units import open_collection
 from tests.pipeline import test_key_frames as key_frames
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")

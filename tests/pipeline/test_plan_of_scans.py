@@ -9,13 +9,13 @@ import pytest
 from dynahull.evidence.range_images import HELD_BYTES, IMAGE_BYTES
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import DiskSpaceError
+from pipeline.metres import open_collection
 from pipeline.plan.resources import one_tile_memory
 from pipeline.planning import plan_map
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.tiles import cleaning
 from pipeline.tiles.stages import TASKS
-from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from pipeline.configuration.run import load_configuration
 from pipeline.errors import ConfigurationError
 from pipeline.info import inspect_map
+from pipeline.metres import open_collection
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
 from pipeline.scan_source import nearest_poses
 from pipeline.tiles.stages import TASKS
-from pipeline.units import open_collection
 from pipeline.work.folder import WORK_FOLDER
 
 pytestmark = pytest.mark.usefixtures("nothing_waits_for_the_disk")

@@ -21,8 +21,8 @@ from pipeline.simulation.meshes.people import Postures, draw_bodies, people_mesh
 from pipeline.simulation.meshes.raycasting import Caster, Target, open3d
 from pipeline.simulation.meshes.simulate import Recording, sweep
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
-from pipeline.simulation.points import Points
 from pipeline.simulation.scene import Surface
+from pipeline.simulation.tables import Points
 
 try:
     open3d()

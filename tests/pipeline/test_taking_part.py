@@ -8,9 +8,9 @@ import pytest
 from dynahull import Label, clean
 from pipeline.configuration.run import load_configuration
 from pipeline.info import inspect_map
+from pipeline.metres import open_collection
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
-from pipeline.units import open_collection
 from tiling.errors import CoordinateSystemError, GridError
 from tiling.formats import open_map
 from tiling.formats.units import FOOT

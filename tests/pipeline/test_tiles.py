@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from dynahull import Label, clean
 from dynahull.ground.reach import ground_radius, height_radius
 from pipeline.configuration.run import load_configuration
+from pipeline.metres import open_collection
 from pipeline.places import DecisionSums
 from pipeline.progress import LogDisplay, StageObserver
 from pipeline.run import run
 from pipeline.scan_numbers import find_scans
-from pipeline.units import open_collection
 from tiling.collection import MapCollection
 from tiling.errors import GridError
 

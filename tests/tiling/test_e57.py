@@ -9,7 +9,7 @@ import pytest
 
 from tiling.errors import MapFormatError
 from tiling.formats import Field, open_map
-from tiling.formats.e57.tree import children, node, opened
+from tiling.formats.e57.nodes import children, node, opened
 
 libe57 = pytest.importorskip("pye57.libe57", reason="pye57 is not installed (extra e57)")
 COUNTS = (60, 0, 40)

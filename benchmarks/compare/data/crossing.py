@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.compare.scene import Scene
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 
 __all__ = ["crossing_scene"]
 

@@ -7,7 +7,7 @@ row. The labels favour nobody who looks for free space, and somewhat whoever loo
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 
 __all__ = ["labels_by_occupancy"]
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.compare.data.occupancy import labels_by_occupancy
 from benchmarks.compare.scene import Scene
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 
 __all__ = ["first_half_of_street", "room_scene", "second_half_of_street", "street_scene"]
 

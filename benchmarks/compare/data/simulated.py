@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.compare.scene import Scene
 from pipeline.configuration.run import load_parameters
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 from pipeline.simulation import SceneKind, SimulationParameters, simulate
 from pipeline.simulation.meshes import random_parameters, simulate_meshes
 from pipeline.simulation.meshes.parameters import MeshSceneKind, SensorKind

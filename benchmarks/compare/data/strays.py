@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.compare.scene import Scene
-from pipeline.evaluation.labels import Truth
+from pipeline.evaluation.truth import Truth
 
 __all__ = ["strays_scene"]
 

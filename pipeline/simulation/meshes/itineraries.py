@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Guide, Walkways
-from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.tables import Floats, Random
 
 STEP = 0.1  # time between two samples of a track, in seconds
 

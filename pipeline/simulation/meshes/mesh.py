@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.tables import Floats, Random
 
 Rows: TypeAlias = ArrayLike | Sequence[Any]  # a table of numbers, in whatever lists it was written
 

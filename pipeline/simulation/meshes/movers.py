@@ -20,8 +20,8 @@ from pipeline.simulation.meshes.raycasting import Target
 from pipeline.simulation.meshes.stage import Body, Lane, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
+from pipeline.simulation.tables import Floats, Random
 
 STANDS = 0.35  # who never gets farther than this from where he began has no honest truth, in metres
 

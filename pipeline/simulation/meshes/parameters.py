@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict
 from pipeline.configuration.run import load_parameters
 from pipeline.errors import ConfigurationError
 from pipeline.simulation.parameters import SimulationParameters, key
-from pipeline.simulation.points import Random
 from pipeline.simulation.scene import SceneKind
+from pipeline.simulation.tables import Random
 
 
 class MeshSceneKind(StrEnum):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, boxes, tube_triangles, tube_vertices
-from pipeline.simulation.points import Columns, Floats, Random
+from pipeline.simulation.tables import Columns, Floats, Random
 
 SIDES = 6
 _DEPTH = np.array([1.0, 0.62, 0.66, 1.0, 1, 1, 1, 1, 1, 1, 1, 1, 0.8, 0.8, 0.7])

@@ -18,7 +18,7 @@ from pipeline.simulation.meshes.itineraries import (
 from pipeline.simulation.meshes.parameters import DriveMode, MeshParameters
 from pipeline.simulation.meshes.stage import Lane, Stage
 from pipeline.simulation.meshes.walkways import Walkways
-from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.tables import Floats, Random
 
 _FORGOTTEN = 25.0  # scans over which the error of the pose is forgotten
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dynahull.extras import install_command
 from pipeline.errors import MissingPackageError
 from pipeline.simulation.meshes.stage import Body, Matter, Stage
-from pipeline.simulation.points import Columns, Floats, Random
+from pipeline.simulation.tables import Columns, Floats, Random
 
 STATIC = -1
 _GLASS_SPARKLE = 0.55

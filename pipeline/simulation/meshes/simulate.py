@@ -16,8 +16,8 @@ from pipeline.simulation.meshes.stage import Stage
 from pipeline.simulation.meshes.walkways import Walkways
 from pipeline.simulation.motion import to_map, to_sensor
 from pipeline.simulation.parameters import nothing_seen
-from pipeline.simulation.points import Floats, Points, Random
 from pipeline.simulation.scans import SimulatedScan, ray_directions
+from pipeline.simulation.tables import Floats, Points, Random
 
 _RINGS = {  # of Velodyne's VLP-16, HDL-32E and HDL-64E (its lower half is coarser), and OS1-64
     SensorKind.VLP16: np.linspace(-15.0, 15.0, 16),

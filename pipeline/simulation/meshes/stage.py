@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.simulation.meshes.mesh import Mesh, Rows, boxes
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
+from pipeline.simulation.tables import Floats, Random
 
 T = TypeVar("T")
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.simulation.meshes.mesh import Mesh, boxes, corners, extruded, tubes
-from pipeline.simulation.points import Random
+from pipeline.simulation.tables import Random
 
 
 def car(random: Random) -> Mesh:

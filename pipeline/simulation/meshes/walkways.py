@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.simulation.meshes.raycasting import Caster
 from pipeline.simulation.meshes.stage import Floor, Stage
-from pipeline.simulation.points import Floats, Random
+from pipeline.simulation.tables import Floats, Random
 
 _HEIGHTS = (0.4, 0.95, 1.5)
 CLEARANCE = 0.34

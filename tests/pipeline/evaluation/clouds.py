@@ -6,9 +6,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from dynahull.progress import SilentObserver
-from pipeline.evaluation.labels import RowValues
+from dynahull.observer import SilentObserver
 from pipeline.evaluation.tiled_cloud import CloudSource, cut_clouds
+from pipeline.evaluation.truth import RowValues
 from tiling.collection import MapCollection
 
 

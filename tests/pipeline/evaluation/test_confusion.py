@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.scoring import Confusion, DynamicMapAccuracy, Tally, harmonic_mean
+from pipeline.evaluation.truth import Truth
 
 STATIC, DYNAMIC, UNKNOWN = (np.int8(each) for each in (Truth.STATIC, Truth.DYNAMIC, Truth.UNKNOWN))
 points = st.lists(

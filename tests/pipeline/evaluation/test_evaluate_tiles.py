@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dynahull.progress import SilentObserver
+from dynahull.observer import SilentObserver
 from pipeline.errors import DiskSpaceError, EvaluationError
 from pipeline.evaluation import tiled_cloud
-from pipeline.evaluation.evaluate import evaluate
+from pipeline.evaluation.evaluation import evaluate
 from pipeline.evaluation.inputs import EvaluationOptions, find_inputs
 from pipeline.progress import LogDisplay, StageObserver
 
@@ -124,7 +124,7 @@ def test_temporary_files_are_gone_after_success_and_failure(walls, temporary, mo
         seen.extend(temporary.rglob("*.xyz"))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pipeline.evaluation.evaluate.compare_geometry", fail)
+    monkeypatch.setattr("pipeline.evaluation.evaluation.compare_geometry", fail)
     with pytest.raises(KeyboardInterrupt):
         figures_of(cleaned, walls / "map.npy")
     assert seen

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib import image as images
 
-from dynahull.progress import SilentObserver
+from dynahull.observer import SilentObserver
 from pipeline.errors import EvaluationError, MissingPackageError, OutputError
 from pipeline.evaluation.picture import (
     COLOURS,

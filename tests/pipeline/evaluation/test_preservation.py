@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from dynahull.progress import SilentObserver
+from dynahull.observer import SilentObserver
 from pipeline.evaluation.scoring import compare_voxels, voxel_means
 from tests.pipeline.evaluation.clouds import cut, source_of
 

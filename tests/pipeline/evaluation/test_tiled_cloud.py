@@ -5,10 +5,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dynahull.progress import SilentObserver
+from dynahull.observer import SilentObserver
 from pipeline.errors import EvaluationError
 from pipeline.evaluation.distances import draw_sample
-from pipeline.evaluation.labels import RowReader, RowValues, Truth
 from pipeline.evaluation.tiled_cloud import (
     CloudSource,
     check_points,
@@ -16,6 +15,7 @@ from pipeline.evaluation.tiled_cloud import (
     look_up,
     voxel_cells,
 )
+from pipeline.evaluation.truth import RowReader, RowValues, Truth
 from tests.pipeline.evaluation.clouds import cut, source_of
 from tiling.collection import MapCollection
 

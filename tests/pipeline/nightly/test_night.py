@@ -482,7 +482,7 @@ def test_a_disk_that_others_fill_meanwhile_is_no_failure_of_the_map(
 
 def test_a_killed_night_goes_on_and_nothing_is_done_twice(place, monkeypatch):
     """Kill a night after each of its steps on the disk, one step further each time."""
-    from pipeline.nightly import journal, results, summary  # noqa: PLC0415
+    from pipeline.nightly import journal, minutes, results  # noqa: PLC0415
 
     steps = {"left": 0}
 
@@ -498,8 +498,8 @@ def test_a_killed_night_goes_on_and_nothing_is_done_twice(place, monkeypatch):
         monkeypatch.setattr(owner, name, step)
 
     cut_before(journal.Journal, "save")
-    cut_before(summary, "append_line")
-    cut_before(summary.NightSummary, "write")
+    cut_before(minutes, "append_line")
+    cut_before(minutes.NightSummary, "write")
     cut_before(results.MapFolder, "point_latest")
     cut_before(results.MapFolder, "remove")
     written = set()

@@ -142,7 +142,7 @@ def test_a_page_that_cannot_be_made_fails_no_night(place, monkeypatch, outcomes_
         raise ValueError("no page today")
 
     monkeypatch.setattr(night, "write_index", broken)
-    monkeypatch.setattr("pipeline.nightly.summary.NightSummary.write", broken)
+    monkeypatch.setattr("pipeline.nightly.minutes.NightSummary.write", broken)
     place.write("incoming/a.npy", "one")
     summary = place.night()
     assert outcomes_of(summary) == {"a.npy": "cleaned"}

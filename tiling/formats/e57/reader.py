@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tiling.errors import MapFormatError
 from tiling.formats.base import MapReader, MapWriter
 from tiling.formats.checks import check_signature
-from tiling.formats.e57.tree import (
+from tiling.formats.e57.nodes import (
     children,
     copy_tree,
     library,

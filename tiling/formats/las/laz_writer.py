@@ -12,7 +12,7 @@ from tiling.formats.base import StreamWriter
 from tiling.formats.las.compression import Compression, own_compression
 from tiling.formats.las.header import LasHeader
 from tiling.formats.las.laz import LARGEST_PARALLEL_CHUNK
-from tiling.formats.las.surroundings import LasSummary, LasSurroundings
+from tiling.formats.las.metadata import LasSummary, LasSurroundings
 
 lazrs: Any = import_module("lazrs")  # without types that a checker can use
 

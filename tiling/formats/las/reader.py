@@ -40,7 +40,7 @@ from tiling.formats.las.header import (
 )
 from tiling.formats.las.laz import LaszipPoints, LazPoints, PointSource, usable_threads
 from tiling.formats.las.laz_writer import LazWriter
-from tiling.formats.las.surroundings import LasPartWriter, is_copc_index
+from tiling.formats.las.metadata import LasPartWriter, is_copc_index
 from tiling.formats.parts import PartWriter
 from tiling.formats.points import MapDescription, PointBatch, bytes_of, packed
 from tiling.grid import Grid, integers_in_records

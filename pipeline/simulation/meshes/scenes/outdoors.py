@@ -10,8 +10,8 @@ from pipeline.simulation.meshes.mesh import Mesh, leaves, sheet, tubes
 from pipeline.simulation.meshes.parameters import MeshParameters
 from pipeline.simulation.meshes.stage import At, Floor, Height, Lane, Matter, Stage
 from pipeline.simulation.meshes.vehicles import VEHICLES
-from pipeline.simulation.points import Floats, Random
 from pipeline.simulation.scene import Surface
+from pipeline.simulation.tables import Floats, Random
 
 _KERB = 0.12
 _STOREY = 3.1

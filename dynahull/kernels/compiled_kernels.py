@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dynahull.compilation import compiling, numba_cache
 from dynahull.kernels import build, closest, solve
-from dynahull.kernels.compiled import OPTIONS
+from dynahull.kernels.decorators import OPTIONS
 from dynahull.kernels.solve import Results, make_workspace
 from dynahull.kernels.tree import Tree, make_tree, make_walk
 

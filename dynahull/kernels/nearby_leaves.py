@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.kernels.compiled import compiled, inlined
+from dynahull.kernels.decorators import compiled, inlined
 from dynahull.kernels.lanes import LANES, aligned, padded
 from dynahull.kernels.tree import (
     LEAF_SIZE,

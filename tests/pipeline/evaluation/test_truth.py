@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import ConfigurationError, EvaluationError
-from pipeline.evaluation.labels import (
+from pipeline.evaluation.truth import (
     is_label_table,
     parse_values,
     read_label_table,

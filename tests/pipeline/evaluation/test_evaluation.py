@@ -18,7 +18,7 @@ from pipeline.errors import (
     EvaluationError,
     OutputError,
 )
-from pipeline.evaluation.evaluate import evaluate
+from pipeline.evaluation.evaluation import evaluate
 from pipeline.evaluation.inputs import EvaluationOptions, find_inputs
 from pipeline.evaluation.report import evaluate_files
 from pipeline.progress import LogDisplay, StageObserver

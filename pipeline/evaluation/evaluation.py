@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from dynahull.progress import Observer
+from dynahull.observer import Observer
 from pipeline.errors import DiskSpaceError, EvaluationError, MissingPackageError
 from pipeline.evaluation.distances import (
     Geometry,
@@ -18,7 +18,6 @@ from pipeline.evaluation.distances import (
     transport_library,
 )
 from pipeline.evaluation.inputs import EvaluationInputs, EvaluationOptions
-from pipeline.evaluation.labels import Truth
 from pipeline.evaluation.picture import draw_picture
 from pipeline.evaluation.scoring import Scores, label_by_map, label_cleaned, score
 from pipeline.evaluation.tiled_cloud import (
@@ -29,6 +28,7 @@ from pipeline.evaluation.tiled_cloud import (
     cut_clouds,
     distance_apart,
 )
+from pipeline.evaluation.truth import Truth
 from pipeline.plan.resources import check_space
 from pipeline.showing import only_showing
 from pipeline.temporary import temporary_folder
