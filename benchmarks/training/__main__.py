@@ -1,20 +1,20 @@
 """Train the models of the evidence from simulated scenes alone, and say how well they do.
 
     python -m benchmarks.training --out dynahull/evidence [--seeds 340] [--keep FOLDER]
-                                  [--dense-seeds 220] [--models posed_model.json]
+                                  [--dense-seeds 220] [--few-seeds 120] [--models posed_model.json]
 
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
 makes of it is printed, with how often points of each probability moved and what each term earns.
-The mean of these models is written to `--out`: it is sturdier on scenes unlike all of them than one
-model of all kinds. Further scenes, of sensors that stand indoors, teach what is a ghost in places
-that were seen thousands of times. Models for maps whose scans, and whose poses, are known are
-learnt from those of the maps. With `--keep`, maps are kept, and a later call goes on from there; it
-takes some 150 MB a seed.
+The mean of these models is sturdier on scenes unlike all of them than one model of all kinds. Of
+what decides from the map alone, `benchmarks.training.distilling` then makes fewer trees. Further
+scenes, of sensors that stand indoors, teach what is a ghost in places that were seen thousands of
+times. Models for maps whose scans, and whose poses, are known are learnt from those of the maps.
+With `--keep`, maps are kept, and that mean; a later call goes on from there; it takes some 150 MB
+a seed.
 """
 
 import argparse
-import json
 import os
 import tempfile
 import time
@@ -24,7 +24,16 @@ from pathlib import Path
 
 from benchmarks.density import machine
 from benchmarks.training.dense import dense_lessons
-from benchmarks.training.fitting import DenseLesson, FitOptions, averaged, fit_seconds, train
+from benchmarks.training.distilling import distil
+from benchmarks.training.fitting import (
+    DenseLesson,
+    FitOptions,
+    Stored,
+    averaged,
+    fit_seconds,
+    train,
+    write_model,
+)
 from benchmarks.training.judging import (
     Judged,
     ablation,
@@ -46,6 +55,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=340)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--dense-seeds", type=int, default=220)
+    parser.add_argument("--few-seeds", type=int, default=120, help="further ones, to distil from")
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     models = list(MODELS)
@@ -72,7 +82,13 @@ def main() -> None:
                 print(f"\n{name}: {len(known)} maps, {time.monotonic() - begun:.0f} s")
                 asked = MODELS[name]
                 own = dense if asked is MAP_ONLY else []
-                learn(known, own, asked, arguments.out / name, arguments)
+                many = learn(known, own, asked, arguments)
+                if asked is not MAP_ONLY:
+                    write_model(many, arguments.out / name)
+                    continue
+                write_model(many, folder / name)
+                further = range(seeds.stop, seeds.stop + arguments.few_seeds)
+                distil(many, arguments.out / name, further, arguments.workers)
         print(f"{time.monotonic() - begun:.0f} s")
 
 
@@ -80,10 +96,9 @@ def learn(
     maps: Sequence[TrainingMap],
     dense: Sequence[DenseLesson],
     asked: AskedTerms,
-    path: Path,
     arguments: argparse.Namespace,
-) -> None:
-    """Learn from maps, judge what is left out, and write the mean of all models."""
+) -> Stored:
+    """Learn from maps, judge what is left out, and return the mean of all models."""
     # Where scans are known, what they saw takes time as well.
     options = FitOptions() if asked is MAP_ONLY else FitOptions(first_trees=120, quick_trees=40)
     workers = arguments.workers
@@ -98,10 +113,8 @@ def learn(
     _print_reliability(judged)
     if arguments.plot and asked is MAP_ONLY:
         _plot(judged, arguments.plot)
-    stored = {"first": averaged(training.first), "second": averaged(seconds)}
-    path.write_text(json.dumps(stored, separators=(",", ":")) + "\n")
-    print(f"mean of all models: {path}")
     print(*ablation(training, workers), sep="\n", flush=True)
+    return {"first": averaged(training.first), "second": averaged(seconds)}
 
 
 def _print_reliability(judged: list[Judged]) -> None:

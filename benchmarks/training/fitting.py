@@ -1,14 +1,16 @@
 """Two rounds of boosted trees; the second learns from what a first round made of unseen kinds."""
 
+import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from benchmarks.training.maps import MOVED, STATIC, TrainingMap
@@ -19,6 +21,9 @@ from dynahull.evidence.terms import FALLING, RISING, places_of
 from dynahull.evidence.voxels import cells_of
 
 _BATCH = 100_000
+
+_SURE = 9.0
+"""A logarithm of odds."""
 
 FOLDS = (
     ("office", "corridor"),
@@ -300,29 +305,58 @@ def boosted(
     lesson: Lesson, names: Sequence[str], trees: int, leaves: int
 ) -> HistGradientBoostingClassifier:
     """Fit trees that keep to what physics says of single terms."""
-    rising = (*RISING, FIRST_ODDS)
-    model = HistGradientBoostingClassifier(
-        max_iter=trees,
-        max_leaf_nodes=leaves,
-        learning_rate=0.1,
-        min_samples_leaf=100,
-        l2_regularization=1.0,
-        early_stopping=False,
-        monotonic_cst=[1 if n in rising else -1 if n in FALLING else 0 for n in names],
-        random_state=0,
-    )
+    model = HistGradientBoostingClassifier(**_boosting(names, trees, leaves))
     with threadpool_limits(1):  # threads that wait for each other take more time than they save
         model.fit(lesson.terms, lesson.moved, sample_weight=lesson.weights)
     return model
 
 
-def stored(model: HistGradientBoostingClassifier, names: Sequence[str]) -> Stored:
+def retold(
+    terms: NDArray[np.float32],
+    odds: NDArray[np.float32],
+    names: Sequence[str],
+    trees: int,
+    leaves: int,
+) -> HistGradientBoostingRegressor:
+    """Fit trees to logarithms of odds that others gave, the closer the nearer to even odds.
+
+    Beyond `_SURE` it does not matter how sure the others were.
+    """
+    model = HistGradientBoostingRegressor(**_boosting(names, trees, leaves))
+    probability = 1 / (1 + np.exp(-odds.astype(np.float64)))
+    weights = 0.1 + 4 * probability * (1 - probability)
+    model.fit(terms, np.clip(odds, -_SURE, _SURE), sample_weight=weights)
+    return model
+
+
+def _boosting(names: Sequence[str], trees: int, leaves: int) -> dict[str, Any]:
+    rising = (*RISING, FIRST_ODDS)
+    return {
+        "max_iter": trees,
+        "max_leaf_nodes": leaves,
+        "learning_rate": 0.1,
+        "min_samples_leaf": 100,
+        "l2_regularization": 1.0,
+        "early_stopping": False,
+        "monotonic_cst": [1 if n in rising else -1 if n in FALLING else 0 for n in names],
+        "random_state": 0,
+    }
+
+
+def stored(
+    model: HistGradientBoostingClassifier | HistGradientBoostingRegressor, names: Sequence[str]
+) -> Stored:
     """Return what the data file holds: scikit-learn has no public way to read its trees."""
     return {
         "terms": list(names),
-        "baseline": round(float(model._baseline_prediction.ravel()[0]), 6),
+        "baseline": round(float(np.ravel(model._baseline_prediction)[0]), 6),
         "trees": [_nodes(predictor.nodes, names) for (predictor,) in model._predictors],
     }
+
+
+def write_model(model: Stored, path: Path) -> None:
+    """Write a data file."""
+    path.write_text(json.dumps(model, separators=(",", ":")) + "\n")
 
 
 def _nodes(nodes: NDArray[Any], names: Sequence[str]) -> list[list[Any]]:

@@ -21,7 +21,7 @@ from typing import Any
 from pipeline.configuration.run import Configuration
 from pipeline.nightly.settings import Retention
 from pipeline.outputs.folder_lock import folder_is_locked
-from pipeline.replacing import REPORT_FILE, RUN_FILE
+from pipeline.replacing import REPORT_FILE, RUN_FILE, STAGING
 from pipeline.work.folder import WORK_FOLDER, remove_work, stages_begun
 
 logger = logging.getLogger("dynahull")
@@ -172,7 +172,8 @@ def tasks_done(run: Path) -> int:
 
 
 def remove_finished_work(run: Path) -> None:
-    """Remove the work of a whole run that was killed before it could, unless it is to be kept."""
+    """Remove what a whole run had no time to, when it was killed; its work is kept if asked for."""
+    shutil.rmtree(run / STAGING, ignore_errors=True)
     if not run_report(run).get("configuration", {}).get("output", {}).get("keep_work"):
         remove_work(run / WORK_FOLDER)
 

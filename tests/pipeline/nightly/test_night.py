@@ -8,8 +8,10 @@ import pytest
 
 from pipeline.errors import NightlyError
 from pipeline.nightly.one_map import Ended
-from pipeline.nightly.results import is_finished
+from pipeline.nightly.results import is_finished, remove_finished_work
+from pipeline.replacing import RUN_FILE, STAGING
 from pipeline.tiles import stages
+from pipeline.work.folder import WORK_FOLDER
 
 TINY = (
     "neighbours.k=8, clustering.count=2, ground.method=none, tiling.max_points=100, "
@@ -599,3 +601,15 @@ def test_a_name_that_is_not_text_is_said(place):
     summary = place.night()
     assert summary.problems == [f"{place.incoming}/caf\\xe9.npy: its name is not UTF-8"]
     assert [line.outcome for line in summary.maps] == ["cleaned"]
+
+
+@pytest.mark.parametrize("keep_work", [False, True])
+def test_a_run_that_was_killed_as_it_ended_leaves_nothing_hidden(tmp_path, keep_work):
+    report = {"configuration": {"output": {"keep_work": keep_work}}}
+    (tmp_path / RUN_FILE).write_text(json.dumps(report))
+    for name in (STAGING, WORK_FOLDER):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_text("left")
+    remove_finished_work(tmp_path)
+    expected = {RUN_FILE, WORK_FOLDER} if keep_work else {RUN_FILE}
+    assert {path.name for path in tmp_path.iterdir()} == expected
