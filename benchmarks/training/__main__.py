@@ -6,8 +6,8 @@
 Simulates a map a seed, cuts a window out of it, and measures that as it is and once more thinned,
 noisier or downsampled. Each group of kinds is left out in turn: what a model of the others
 makes of it is printed, with how often points of each probability moved and what each term earns.
-The mean of these models is sturdier on scenes unlike all of them than one model of all kinds. Of
-what decides from the map alone, `benchmarks.training.distilling` then makes fewer trees. Further
+The mean of these models is sturdier on scenes unlike all of them than one model of all kinds. For
+maps without scans, few trees are then put before it: see `benchmarks.training.distilling`. Further
 scenes, of sensors that stand indoors, teach what is a ghost in places that were seen thousands of
 times. Models for maps whose scans, and whose poses, are known are learnt from those of the maps.
 With `--keep`, maps are kept, and that mean; a later call goes on from there; it takes some 150 MB

@@ -1,13 +1,14 @@
-"""Let fewer trees judge in the first round, who say what the many of a model say.
+"""Let few trees find the points that the many trees of a model judge in the first round.
 
     python -m benchmarks.training.distilling MANY.json --out dynahull/evidence/model.json
                                              [--seeds 120]
 
 The mean of five models has five times the trees of one. What it says of a point is known without
-any truth: so fewer trees are learnt from what it says of many points of further simulated scenes
-(Bucila, Caruana, Niculescu-Mizil: Model Compression, KDD 2006). Prints how both do on scenes that
-neither has learnt from. The second round and the trees for dense surroundings stay as they are.
-`benchmarks.training` ends with it; by itself, it takes a model that is there.
+any truth: so few trees are learnt from what it says of many points of further simulated scenes
+(Bucila, Caruana, Niculescu-Mizil: Model Compression, KDD 2006). What they find likely, the many
+judge. Prints how the model does, before and after, on scenes that neither has learnt from. The
+second round and the trees for dense surroundings stay as they are. `benchmarks.training` ends with
+it; by itself, it takes a model that is there.
 """
 
 import argparse
@@ -41,6 +42,9 @@ from dynahull.parameters import RemovalParameters
 
 FEW = FitOptions(points=16_000)
 
+LIKELY = -1.0
+"""Logarithm of the odds, by the few trees, above which the many are asked."""
+
 FIRST_SEED = 340
 """The first of the scenes that the models which are asked have not learnt from."""
 
@@ -65,10 +69,10 @@ class Told:
 
 
 def main() -> None:
-    """Ask a model about further scenes, learn what it says, and judge both."""
+    """Ask a model about further scenes, and learn what it says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("many", type=Path, help="the model that is asked")
-    parser.add_argument("--out", type=Path, required=True, help="the model of few trees")
+    parser.add_argument("--out", type=Path, required=True, help="the model that is written")
     parser.add_argument("--seeds", type=int, default=120)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
@@ -79,7 +83,7 @@ def main() -> None:
 
 
 def distil(many: Stored, out: Path, seeds: range, workers: int) -> None:
-    """Write a model of few trees that says what one of many says, and print how both do.
+    """Put few trees before those of a model, write that, and print how both models do.
 
     Parameters
     ----------
@@ -100,7 +104,7 @@ def distil(many: Stored, out: Path, seeds: range, workers: int) -> None:
         few = learn(many, told, FEW)
         write_model(few, out)
         print(f"{out}, {time.monotonic() - begun:.0f} s; {len(judged)} further maps judge:")
-        for name, model in (("many", many), ("few", few)):
+        for name, model in (("the many", many), ("the few, then the many", few)):
             head, *_, total = _figures(judged, model)
             print(name, head, total, sep="\n", flush=True)
 
@@ -119,11 +123,12 @@ def ask(known: TrainingMap, model: Stored, options: FitOptions) -> Told:
 
 
 def learn(model: Stored, told: Sequence[Told], options: FitOptions) -> Stored:
-    """Return a model whose first round has few trees, which say what those of a model said."""
+    """Return a model in which few trees, that say what a model's many said, come before these."""
     first, every = model["first"], Told.joined(told)
     names, trees, leaves = first["terms"], options.first_trees, options.first_leaves
     few = stored(retold(every.terms, every.odds, names, trees, leaves), names)
-    return model | {"first": first | {"quick": options.quick_trees} | few}
+    likely = {"above": LIKELY} | {name: first[name] for name in few}
+    return model | {"first": first | {"quick": options.quick_trees} | few | {"likely": likely}}
 
 
 def _figures(maps: Sequence[TrainingMap], model: Stored) -> list[str]:

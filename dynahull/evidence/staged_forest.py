@@ -21,6 +21,13 @@ class Above(NamedTuple):
     forest: Forest
 
 
+class Likely(NamedTuple):
+    """Points of whose odds all stages before make more than a limit, and the trees that decide."""
+
+    limit: float
+    forest: Forest
+
+
 @dataclass(frozen=True, slots=True)
 class StagedForest:
     """Trees most of which are asked about doubtful points only (Viola and Jones, CVPR 2001).
@@ -33,6 +40,8 @@ class StagedForest:
         Asked about points of whose odds the quick ones make more than `doubtful`.
     doubtful : float
         A logarithm of odds.
+    likely : Likely, optional
+        More trees, that judge likely points alone: the others only had to find these.
     dense : Above, optional
         Trees for places that were seen thousands of times: what is thin there is a ghost more
         surely than elsewhere.
@@ -41,12 +50,14 @@ class StagedForest:
     quick: Forest
     rest: Forest
     doubtful: float
+    likely: Likely | None = None
     dense: Above | None = None
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Self:
         """Build as `Forest.of` does; `quick` says how many of the trees come first.
 
+        `likely`, where it is there, has trees of its own, and the limit `above` which they decide.
         `dense`, where it is there, has trees of its own, and the `term` and the limit `above`
         which they are asked.
 
@@ -58,14 +69,17 @@ class StagedForest:
         try:
             trees, quick, doubtful = stored["trees"], int(stored["quick"]), stored["doubtful"]
             doubtful = float(np.float32(doubtful))  # what is compared with it are float32
-            dense = None if stored.get("dense") is None else _above(stored["dense"])
+            likely, dense = stored.get("likely"), stored.get("dense")
+            likely = likely and Likely(float(np.float32(likely["above"])), Forest.of(likely))
+            dense = dense and _above(dense)
         except (KeyError, TypeError, ValueError) as error:
             raise InvalidParametersError(f"trees: expected stages, found {error!r}") from None
         first = Forest.of(stored | {"trees": trees[:quick]})
-        if dense is not None and dense.forest.terms != first.terms:
+        others = [each.forest for each in (likely, dense) if each is not None]
+        if any(forest.terms != first.terms for forest in others):
             raise InvalidParametersError("trees: expected the same terms of all, found others")
         rest = Forest.of(stored | {"trees": trees[quick:], "baseline": 0.0})
-        return cls(first, rest, doubtful, dense)
+        return cls(first, rest, doubtful, likely, dense)
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -113,6 +127,10 @@ class StagedForest:
         rows = np.flatnonzero(found > self.doubtful)
         both = found[rows] + self.rest.log_odds(evidence[rows], threads)
         found[rows] = np.maximum(both, np.float32(self.doubtful))
+        if self.likely is not None:
+            limit, forest = self.likely
+            rows = np.flatnonzero(found > limit)
+            found[rows] = np.maximum(forest.log_odds(evidence[rows], threads), np.float32(limit))
         return found
 
 

@@ -1,12 +1,13 @@
-"""Few trees say what many said, and nothing else is learnt."""
+"""Few trees say what many said, find what is likely, and nothing else is learnt."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.training.distilling import ask, learn
+from benchmarks.training.distilling import LIKELY, ask, learn
 from benchmarks.training.fitting import FOLDS, averaged, fit_seconds, train
+from dynahull.evidence.forest import Forest
 from dynahull.evidence.model import MAP_ONLY, TIMED, EvidenceModel
 from tests.benchmarks.test_training import SMALL, a_map, dense_lesson
 
@@ -27,9 +28,14 @@ def test_few_trees_say_what_many_said_of_maps_that_they_have_not_seen(asked):
     few = EvidenceModel.of(learn(model, told, FEW))
     assert few.asked == asked
     said = ask(a_map(50, "office"), model, FEW)
-    found = few.first.log_odds(said.terms)
+    found = replace(few.first, likely=None).log_odds(said.terms)
     assert np.corrcoef(found, said.odds)[0, 1] > 0.97
     assert ((found > 0) == (said.odds > 0)).mean() > 0.97
+    likely, both = found > LIKELY, few.first.log_odds(said.terms)
+    assert likely.any() and not likely.all()
+    np.testing.assert_array_equal(both[~likely], found[~likely])
+    many_say = Forest.of(model["first"]).log_odds(said.terms)
+    np.testing.assert_array_equal(both[likely], np.maximum(many_say[likely], LIKELY))
 
 
 def test_a_third_of_the_points_that_are_asked_about_are_doubtful():
@@ -48,3 +54,5 @@ def test_all_but_the_first_round_stays_and_its_limit_of_doubt_does():
     assert few["second"] == model["second"] and first["dense"] == model["first"]["dense"]
     assert first["doubtful"] == -2.5
     assert (first["quick"], len(first["trees"])) == (FEW.quick_trees, FEW.first_trees)
+    assert first["likely"]["trees"] == model["first"]["trees"]
+    assert first["likely"]["baseline"] == model["first"]["baseline"]

@@ -181,17 +181,46 @@ def test_most_trees_are_asked_about_doubtful_points_only():
             StagedForest.of({name: stored[name] for name in stored if name != missing})
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(-6, 2))
+def test_likely_points_are_judged_by_other_trees_and_stay_likely():
+    stored = {
+        "terms": ["a"],
+        "baseline": 0.0,
+        "trees": [[["a", 1.0, 2, "left", 0.0], [-3.0], [2.0]]],
+        "quick": 1,
+        "doubtful": -2.0,
+        "likely": {
+            "above": -1.0,
+            "terms": ["a"],
+            "baseline": 0.5,
+            "trees": [[["a", 2.0, 2, "left", 0.0], [-9.0], [4.0]]],
+        },
+    }
+    terms = np.array([[0.0], [1.5], [3.0]], np.float32)
+    # The first is not likely. The second is, and stays so, less likely than that as it is.
+    assert StagedForest.of(stored).log_odds(terms).tolist() == [-3.0, -1.0, 4.5]
+    for wrong in ({"terms": ["b"]}, {"above": "much"}, {"trees": [[[]]]}):
+        with pytest.raises(InvalidParametersError):
+            StagedForest.of(stored | {"likely": stored["likely"] | wrong})
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-6, 2), st.floats(-4, 2))
 @settings(deadline=None, max_examples=25)
-def test_stages_give_the_odds_of_their_forests(seed, doubtful):
+def test_stages_give_the_odds_of_their_forests(seed, doubtful, limit):
     stored = stored_model()["first"] | {"doubtful": doubtful, "quick": 15}
-    stored["trees"] = stored["trees"][::20]
+    likely = stored["likely"] | {"above": limit}
+    stored["trees"] = stored["trees"][::5]
     terms = np.random.default_rng(seed).normal(size=(200, len(TERMS))).astype(np.float32)
     quick = Forest.of(stored | {"trees": stored["trees"][: stored["quick"]]}).log_odds(terms)
     whole = Forest.of(stored).log_odds(terms)
     bound = np.float32(doubtful)
     expected = np.where(quick > bound, np.maximum(whole, bound), quick)
-    np.testing.assert_allclose(StagedForest.of(stored).log_odds(terms), expected, atol=1e-5)
+    two = StagedForest.of({name: stored[name] for name in stored if name != "likely"})
+    found = two.log_odds(terms)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    judged = np.maximum(Forest.of(likely).log_odds(terms), np.float32(limit))
+    expected = np.where(found > np.float32(limit), judged, found)
+    three = StagedForest.of(stored | {"likely": likely})
+    np.testing.assert_array_equal(three.log_odds(terms), expected)
 
 
 @pytest.mark.parametrize(
