@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from dynahull.checking import valid_points
-from dynahull.evidence import range_images
+from dynahull.evidence.range_images import RETURN_BYTES, Returns
+from dynahull.evidence.range_images import Views as ScanViews
 from dynahull.labels import Label
 from dynahull.protection import Area
 from dynahull.removal import removal_percentages, remove_likely
@@ -42,8 +43,9 @@ from pipeline.report_page.report_page import Views
 from pipeline.run import write_account
 from pipeline.scan_numbers import find_scans
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.work.files import make_rows, open_rows
+from pipeline.work.files import make_rows, open_rows, read_arrays, write_arrays
 from pipeline.work.job import unchanged
+from pipeline.work.kept_returns import gather, kept_returns
 from tiling.collection import MapCollection, content_hash
 from tiling.formats.points import PointBatch
 
@@ -61,6 +63,9 @@ _KINDS: dict[str, DTypeLike] = {
 }
 
 _ROW_BYTES = sum(np.dtype(kind).itemsize for kind in _KINDS.values())
+
+_RETURNS_BYTES = 2 * RETURN_BYTES
+"""A point, for what scans saw, as it was read and gathered."""
 
 Kept = dict[str, NDArray[Any]]
 """What a run kept of each point, (N,) each, by the names of `_KINDS`."""
@@ -106,8 +111,9 @@ def decide_again(
     names = OutputNames.of_run(collection.readers, configuration.output)
     results, place = names.all_files(configuration.output), output or folder
     with output_folder(place, results, paths) as staging, unchanged(paths):
-        size, rows = output_size(collection, configuration), collection.point_count * _ROW_BYTES
-        check_space(place, rows, size, configuration.output.keep_free)
+        size = output_size(collection, configuration)
+        rows = _ROW_BYTES + (_RETURNS_BYTES if report.time not in (None, "none") else 0)
+        check_space(place, rows * collection.point_count, size, configuration.output.keep_free)
         _check_content(collection, report, observer)
         kept = _read_kept(folder / LABELS_FILE, staging / "rows", collection.point_count)
         if restore:
@@ -274,10 +280,8 @@ class _Decision:
         self._scans: list[NDArray[np.int32]] = []
         self._sensor = None if self._source is None else self._source.sensor(collection)
         if self._sensor is not None:
-            place, size = staging / "rows" / "images", len(self._sensor) * range_images.PIXELS
-            make_rows(place, size, np.uint16, range_images.NOTHING)
-            images = np.asarray(open_rows(place, np.uint16, "r+"))
-            self._images = images.reshape(-1, range_images.PIXELS)
+            self._returns = staging / "rows" / "returns"
+            self._returns.mkdir()
 
     def made(self) -> CleanedMap:
         configuration, kept = self._configuration, self._kept
@@ -332,7 +336,8 @@ class _Decision:
         if self._scans:
             views = None
             if self._sensor is not None:
-                views = range_images.Views(self._sensor, self._images.__getitem__)
+                gather(self._returns, len(self._sensor), self._returns_of_batches)
+                views = ScanViews(self._sensor, kept_returns(self._returns).images)
             cores = available_cores(self._configuration.execution.workers)
             sample = sample.seen(np.concatenate(self._scans), views, cores)
         return Views.of(sample, clusters, self._configuration.removal, decision)
@@ -383,4 +388,12 @@ class _Decision:
                 self._scans.append(scan[chosen])
                 if self._sensor is not None:
                     drawn = np.where(apart, np.int32(-1), scan)
-                    range_images.draw_into(self._images, xyz, drawn, self._sensor)
+                    returns = Returns.of(xyz, drawn, self._sensor)
+                    part = {"counts": returns.counts}
+                    write_arrays(
+                        self._returns / f"{rows.start}.part", part, {"returns": returns.returns}
+                    )
+
+    def _returns_of_batches(self) -> Iterator[Returns]:
+        for path in self._returns.glob("*.part"):
+            yield Returns(*read_arrays(path, "counts", "returns"))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from dynahull import clean
 from dynahull.checking import valid_points
+from dynahull.evidence.range_images import Returns
 from dynahull.evidence.range_images import Views as ScanViews
-from dynahull.evidence.range_images import draw_images
 from dynahull.labels import Label
 from dynahull.result import NO_CLUSTER, CleaningResult
 from pipeline.configuration.run import Configuration
@@ -114,7 +114,7 @@ def _views(
         views = None
         if sensor is not None:
             drawn = np.where(labels == Label.INVALID, np.int32(-1), scan)
-            views = ScanViews(sensor, partial(draw_images, [(points, drawn)], sensor))
+            views = ScanViews(sensor, Returns.of(points, drawn, sensor).images)
         cores = available_cores(configuration.execution.workers)
         shown = shown.seen(scan[shown.rows], views, cores)
     return Views.of(shown, result.clusters, configuration.removal, decision)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dynahull.evidence.viewpoints import MOST_VIEWPOINTS
 from pipeline.cluster.choice import workers_for
 from pipeline.configuration.run import Configuration
 from pipeline.eligibility import check_parts, survey_map
@@ -65,8 +64,8 @@ def plan_map(
         tiling = {"max_points": max(collection.point_count, 1)}
         whole = configuration.tiling.model_copy(update=tiling)
         configuration = configuration.model_copy(update={"tiling": whole})
-    scans = None if one_tile else _viewpoints(collection, configuration, observer)
-    plan = make_plan(collection, surveyed, configuration, workers, scans)
+    known = not one_tile and _knows_scans(collection, configuration, observer)
+    plan = make_plan(collection, surveyed, configuration, workers, scans_known=known)
     if one_tile:
         memory, _ = one_tile_memory(collection, configuration)
         plan = replace(plan, worker_memory=memory, disk=0)
@@ -89,18 +88,15 @@ def plan_map(
     return plan.to_text() + told + drawn, refused
 
 
-def _viewpoints(
+def _knows_scans(
     collection: MapCollection, configuration: Configuration, observer: StageObserver
-) -> int | None:
-    """Return how many range images of scans there will be, at most; None where there are none."""
+) -> bool:
+    """Tell whether the run will ask the range images of scans."""
     if not configuration.removal.weighs_evidence:
-        return None
+        return False
     source = find_scans(collection, configuration, observer)
     observer.finish()
-    if source is None:
-        return None
-    sensor = source.sensor(collection)
-    return min(source.scans, MOST_VIEWPOINTS) if sensor is None else len(sensor)
+    return source is not None
 
 
 def tile_map(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dynahull.algorithm import find_clusters, set_ground_aside
 from dynahull.density import SPREAD_COLUMNS, cluster_densities
-from dynahull.evidence.range_images import Views, draw_images
+from dynahull.evidence.range_images import Returns, Views
 from dynahull.evidence.summaries import ScoredPoints, summarise_ground, summarise_points
 from dynahull.evidence.surroundings import Surroundings
 from dynahull.evidence.terms import SEEN_TERMS, TERMS, TIMED_TERMS, evidence
@@ -168,8 +168,8 @@ class _Scans:
         return replace(self, xyz=self.xyz[keep], scan=self.scan[keep])
 
     def views(self, viewpoints: Viewpoints) -> Views:
-        parts = [(self.xyz, viewpoints.rows(self.scan))]
-        return Views(viewpoints.places, partial(draw_images, parts, viewpoints.places))
+        returns = Returns.of(self.xyz, viewpoints.rows(self.scan), viewpoints.places)
+        return Views(viewpoints.places, returns.images)
 
     def both_views(self) -> list[Views]:
         """Return what is seen from the middles of scans, and from where the sensor was."""

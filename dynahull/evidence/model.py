@@ -8,7 +8,7 @@ a file.
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib.resources import files
 from typing import Any, Self
 
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from dynahull.compilation import compiled
 from dynahull.errors import InvalidParametersError
 from dynahull.evidence.forest import Forest
-from dynahull.evidence.range_images import Views, draw_images
+from dynahull.evidence.range_images import Returns, Views
 from dynahull.evidence.reasons import NO_REASON, reasons
 from dynahull.evidence.staged_forest import StagedForest
 from dynahull.evidence.summaries import (
@@ -309,9 +309,10 @@ def judge_points(
     """
     views = None
     if points.scan is not None and unscored_scan is not None and viewpoints is not None:
-        parts = [(points.xyz, viewpoints.rows(points.scan))]
-        parts += [(unscored, viewpoints.rows(unscored_scan))]
-        views = Views(viewpoints.places, partial(draw_images, parts, viewpoints.places))
+        sensor = viewpoints.places
+        of_points = Returns.of(points.xyz, viewpoints.rows(points.scan), sensor)
+        of_others = Returns.of(unscored, viewpoints.rows(unscored_scan), sensor)
+        views = Views(sensor, Returns.joined([of_points, of_others]).images)
     model = evidence_model(model_file(viewpoints))
     voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)])
     surroundings = Surroundings.of(voxels, views, threads)

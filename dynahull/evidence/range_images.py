@@ -1,11 +1,13 @@
 """How many scans saw through each place: what stands lets no ray pass.
 
 A range image holds, for each direction from where the sensor was, how far the nearest return is.
-Images of parts of a scan are joined by the nearer return: so they are those of the whole scan, in
-any order, to the last bit. Directions are those of the map, whichever way the sensor looked.
+Most of its pixels are empty: what is kept are the returns, four bytes each, and the image of a scan
+is drawn when it is looked at. Images of parts of a scan are joined by the nearer return: so they
+are those of the whole scan, in any order, to the last bit. Directions are those of the map,
+whichever way the sensor looked.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Self
@@ -43,48 +45,74 @@ _NEAREST = 0.3
 _SCANS_AT_A_TIME = 128
 _LEAST_A_THREAD = 20_000
 
-IMAGE_BYTES = 2 * PIXELS
-"""Of one range image."""
+RETURN_BYTES = 4
+"""Of one return."""
 
-HELD_BYTES = 3 * _SCANS_AT_A_TIME * IMAGE_BYTES
-"""Of the images that are in memory while it is counted what they saw, at most: of each scan as it
-lies in a file, as it was read, and the nearest returns around."""
+HELD_BYTES = _SCANS_AT_A_TIME * PIXELS * (RETURN_BYTES + 2 * 2)
+"""Of the scans that are in memory while it is counted what they saw, at most: of each its returns,
+its image, and the nearest returns around."""
 
 _Rows = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
 class Returns:
-    """The nearest return in each pixel, of some points of a map.
+    """The nearest return in each pixel of each scan, of some points of a map.
 
     Attributes
     ----------
-    pixel : (n,) int64 array
-        Number of the scan times `PIXELS`, and the pixel; ascending, each once.
-    range : (n,) uint16 array
-        Centimetres.
+    counts : (S,) int64 array
+        Returns of each scan.
+    returns : (n,) uint32 array
+        Scan after scan: the pixel in the upper sixteen bits, centimetres in the lower.
     """
 
-    pixel: Integers
-    range: Images
+    counts: Integers
+    returns: npt.NDArray[np.uint32]
 
     @classmethod
     def of(cls, xyz: Floats, scan: Scans, sensor: Floats) -> Self:
-        """Find the nearest returns; see `draw_images`."""
-        seen = np.unique(scan[scan >= 0])
-        pixels, ranges = [np.zeros(0, np.int64)], [np.zeros(0, np.uint16)]
-        for begin in range(0, len(seen), _SCANS_AT_A_TIME):
-            rows = seen[begin : begin + _SCANS_AT_A_TIME].astype(np.intp)
-            images = draw_images([(xyz, scan)], sensor, rows)
-            row, pixel = np.nonzero(images != NOTHING)
-            pixels.append(rows[row] * PIXELS + pixel)
-            ranges.append(images[row, pixel])
-        return cls(np.concatenate(pixels), np.concatenate(ranges))
+        """Find the nearest returns.
 
-    def put_into(self, images: Images) -> None:
-        """Put the returns into the images of all scans, (S, PIXELS)."""
-        flat = images.reshape(-1)
-        flat[self.pixel] = np.minimum(flat[self.pixel], self.range)
+        Parameters
+        ----------
+        xyz : (n, 3) float64 array
+            Points of a map, metres.
+        scan : (n,) int32 array
+            The row of `sensor` that saw each, -1 where it is not known.
+        sensor : (S, 3) float64 array
+            Where the sensor was in each scan, metres.
+        """
+        keys = _keys(xyz, scan, sensor)
+        keys.sort()
+        pixels = keys >> 16
+        nearest = keys[np.diff(pixels, prepend=-1) != 0]
+        counts = np.bincount(nearest >> 32, minlength=len(sensor)).astype(np.int64, copy=False)
+        return cls(counts, nearest.astype(np.uint32))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return those of all parts together; a pixel may be there once for each part."""
+        counts = np.sum([part.counts for part in parts], axis=0)
+        together = cls(counts, np.empty(counts.sum(), np.uint32))
+        together.take(parts)
+        return together
+
+    def take(self, parts: Iterable[Self]) -> None:
+        """Write all returns anew: those of all parts, which together are as many in each scan."""
+        places = np.cumsum(self.counts) - self.counts
+        for part in parts:
+            before = np.cumsum(part.counts) - part.counts
+            moved = np.repeat(places - before, part.counts)
+            self.returns[moved + np.arange(len(part.returns))] = part.returns
+            places += part.counts
+
+    def images(self, rows: _Rows) -> Images:
+        """Return the range images of some scans, (R, PIXELS)."""
+        images = np.full((len(rows), PIXELS), NOTHING, np.uint16)
+        stops = np.cumsum(self.counts)[rows]
+        _draw(stops - self.counts[rows], stops, self.returns, images)
+        return images
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,35 +154,6 @@ class Views:
             yield near[begin : begin + _SCANS_AT_A_TIME]
 
 
-def draw_images(parts: Iterable[tuple[Floats, Scans]], sensor: Floats, rows: _Rows) -> Images:
-    """Return the range images of some scans.
-
-    Parameters
-    ----------
-    parts : iterable of (n, 3) float64 array and (n,) int32 array
-        Points of a map, and the row of `sensor` that saw each, -1 where it is not known.
-    sensor : (S, 3) float64 array
-        Where the sensor was in each scan, metres.
-    rows : (R,) int array
-        The scans wanted.
-
-    Returns
-    -------
-    (R, PIXELS) uint16 array
-    """
-    images = np.full((len(rows), PIXELS), NOTHING, np.uint16)
-    places = np.full(len(sensor), -1, np.int32)
-    places[rows] = np.arange(len(rows))
-    for xyz, scan in parts:
-        _draw(xyz, scan, sensor, places, images)
-    return images
-
-
-def draw_into(images: Images, xyz: Floats, scan: Scans, sensor: Floats) -> None:
-    """Draw further points into the range images of all scans, (S, PIXELS); see `draw_images`."""
-    _draw(xyz, scan, sensor, np.arange(len(sensor), dtype=np.int32), images)
-
-
 @helper
 def _pixel_of(x: float, y: float, z: float) -> int:
     """Return the pixel of a direction, which is no zero."""
@@ -171,19 +170,30 @@ def _pixel_of(x: float, y: float, z: float) -> int:
 
 
 @compiled
-def _draw(
-    xyz: Floats, scan: Scans, sensor: Floats, places: npt.NDArray[np.int32], images: Images
-) -> None:
+def _keys(xyz: Floats, scan: Scans, sensor: Floats) -> Integers:
+    """Return scan, pixel and centimetres of each return, in one number that sorts by them."""
+    keys, count = np.empty(len(xyz), np.int64), 0
     for i in range(len(xyz)):
-        s = scan[i]
-        if s < 0 or s >= len(sensor) or places[s] < 0:
+        s = np.int64(scan[i])
+        if s < 0 or s >= len(sensor):
             continue
         x, y, z = xyz[i, 0] - sensor[s, 0], xyz[i, 1] - sensor[s, 1], xyz[i, 2] - sensor[s, 2]
         distance = np.sqrt(x * x + y * y + z * z)
         if distance >= _NEAREST:
-            nearer = np.uint16(min(distance * 100.0, NOTHING - 1.0))
-            place, pixel = places[s], _pixel_of(x, y, z)
-            images[place, pixel] = min(images[place, pixel], nearer)
+            centimetres = int(min(distance * 100.0, NOTHING - 1.0))
+            keys[count] = (s << 32) | (_pixel_of(x, y, z) << 16) | centimetres
+            count += 1
+    return keys[:count]
+
+
+@compiled
+def _draw(
+    starts: Integers, stops: Integers, returns: npt.NDArray[np.uint32], images: Images
+) -> None:
+    for r in range(len(images)):
+        for i in range(starts[r], stops[r]):
+            pixel, centimetres = returns[i] >> 16, np.uint16(returns[i] & 0xFFFF)
+            images[r, pixel] = min(images[r, pixel], centimetres)
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynahull.evidence.range_images import HELD_BYTES, IMAGE_BYTES
+from dynahull.evidence.range_images import HELD_BYTES
 from dynahull.ground.reach import points_around
 from pipeline.configuration.quantities import in_time, in_units
 from pipeline.configuration.run import Configuration
@@ -143,14 +143,15 @@ def make_plan(
     survey: Survey,
     configuration: Configuration,
     workers: int,
-    viewpoints: int | None = None,
+    *,
+    scans_known: bool = False,
 ) -> Plan:
     """Plan how a map is cut, by the survey of all of it, for so many workers to share the work.
 
     Parameters
     ----------
-    viewpoints : int, optional
-        Range images of the scans; None where these are not known.
+    scans_known : bool
+        Whether the evidence asks the range images of scans.
 
     Raises
     ------
@@ -168,8 +169,8 @@ def make_plan(
     core, all_held = int(layout.counts.sum()), int(held.sum())
     weighs = configuration.removal.weighs_evidence
     each = TILE_BYTES + (EVIDENCE_BYTES if weighs else 0)
-    images = 0 if viewpoints is None else HELD_BYTES
-    disk = _disk_of(collection, configuration, core, all_held, len(held), viewpoints)
+    images = HELD_BYTES if scans_known else 0
+    disk = _disk_of(collection, configuration, core, all_held, len(held), scans_known)
     seconds = core * _MICROSECONDS_A_POINT + (all_held - core) * _MICROSECONDS_A_HALO_POINT
     seconds += len(held) * _MICROSECONDS_A_TILE
     return Plan(
@@ -192,7 +193,7 @@ def _disk_of(
     core: int,
     all_held: int,
     tiles: int,
-    viewpoints: int | None,
+    scans_known: bool,
 ) -> int:
     """Return the bytes that temporary files take at most, in the stage that most lie there."""
     decoded = bytes_kept(collection)
@@ -213,8 +214,8 @@ def _disk_of(
         core * (spread + evidence + _DENSITY_BYTES),
         core * (evidence + _DENSITY_BYTES + _LABEL_BYTES + score + rows) + shown,
     )
-    if viewpoints is not None:
-        most += core * _SCAN_BYTES + viewpoints * IMAGE_BYTES
+    if scans_known:
+        most += core * _SCAN_BYTES
     return decoded + all_held * _CHUNK_BYTES[configuration.tiling.format] + most
 
 

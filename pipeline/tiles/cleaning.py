@@ -38,7 +38,7 @@ from pipeline.tiles.ground import SAMPLE_NAMES, summaries
 from pipeline.tiles.labelling import RowResults, save_cuts
 from pipeline.tiles.stages import do_stage, exhaust
 from pipeline.tiles.thresholds import Cut, find_cuts
-from pipeline.tiles.weighing import draw_range_images
+from pipeline.tiles.weighing import gather_returns
 from pipeline.work.files import write_arrays, write_sealed
 from pipeline.work.folder import TaskReport, remove_work
 from pipeline.work.job import (
@@ -93,7 +93,7 @@ def clean_tiles(
     for spent in ("free", SAMPLE):
         job.remove_spent(spent)
     if job.configuration.removal.weighs_evidence:
-        draw_range_images(job)
+        gather_returns(job)
         reports = do_stage(job, executor, observer, "evidence", tiles)
         counted = [report.counts for _, report in reports]  # none, where no point takes part
         wide, scored = np.reshape(counted, (-1, 2)).sum(axis=0)
@@ -166,9 +166,9 @@ def plan_tiles(
                 _keep_viewpoints(job)
         warn_of_set_aside(job, observer)
         check_parts(survey.minimum, survey.maximum, job.configuration, observer)
-        viewpoints = None if job.viewpoints is None else len(job.viewpoints.places)
+        known = job.viewpoints is not None
         workers = executor.workers
-        plan = make_plan(job.collection, survey, job.configuration, workers, viewpoints)
+        plan = make_plan(job.collection, survey, job.configuration, workers, scans_known=known)
         check(plan)
     except (ConfigurationError, PlanError, TilingError):
         # Refused: there is nothing to go on with.

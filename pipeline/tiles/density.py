@@ -29,7 +29,7 @@ from pipeline.work.job import SAMPLE, Job
 from tiling.chunks import Chunk
 
 VOXELS = "voxels"
-RETURNS = ("pixel", "range")
+RETURNS = ("counts", "returns")
 
 _NEIGHBOURS_WITHIN = 2.0
 """Metres around a part of a tile that most neighbours are found in; the others are looked for."""
@@ -111,7 +111,7 @@ def _returns_of(job: Job, chunk: Chunk) -> dict[str, NDArray[Any]]:
     if viewpoints is None or scans is None:
         return {}
     returns = Returns.of(chunk.xyz[chunk.core], viewpoints.rows(scans), viewpoints.places)
-    return dict(zip(RETURNS, (returns.pixel, returns.range), strict=True))
+    return dict(zip(RETURNS, (returns.counts, returns.returns), strict=True))
 
 
 SIDES = (2, 4)

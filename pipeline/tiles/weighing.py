@@ -4,6 +4,7 @@ A tile reduces its points to voxels once, and reads those of the tiles around: s
 `dynahull.evidence.summaries`. Points of other tiles are never looked at.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from dynahull.evidence.model import (
     final_scores,
     model_file,
 )
-from dynahull.evidence.range_images import NOTHING, PIXELS, Images, Returns, Views
+from dynahull.evidence.range_images import Returns, Views
 from dynahull.evidence.summaries import (
     REACH,
     ScoredPoints,
@@ -32,10 +33,10 @@ from dynahull.warn import wide_neighbourhoods
 from pipeline.tiles.borders import Region
 from pipeline.tiles.density import RETURNS, VOXELS, divided, scores_of
 from pipeline.tiles.ground import heights_of, own_points, summaries
-from pipeline.work.files import make_rows, open_rows
 from pipeline.work.folder import TaskReport
 from pipeline.work.job import IMAGING, Job
-from tiling.ledger import note_file, noting
+from pipeline.work.kept_returns import gather, kept_returns
+from tiling.ledger import noting
 
 _ODDS = "odds"
 _FIRST = ("log_odds", "reason", "ranks")
@@ -82,32 +83,25 @@ def judge_tile(job: Job, tile: int) -> Judged:
     return Judged(final_scores(model, xyz, density, found, odds), found.reason)
 
 
-def draw_range_images(job: Job) -> None:
-    """Draw the range images of all scans from what the tiles say of them: see `range_images`."""
+def gather_returns(job: Job) -> None:
+    """Gather what the tiles say of the range images of all scans: see `range_images`."""
     if job.viewpoints is None or job.work.has_done(IMAGING) or job.is_spent("spread"):
         return
-    path = job.rows_path("images")
     with noting() as written:
-        make_rows(path, len(job.viewpoints.places) * PIXELS, np.uint16, NOTHING)
-        images = open_rows(path, np.uint16, "r+")
-        for tile in range(len(job.store.layout)):
-            Returns(*job.work.load("spread", tile, *RETURNS)).put_into(images)
-        if isinstance(images, np.memmap):
-            images.flush()
-        note_file(path)
+        gather(job.root, len(job.viewpoints.places), lambda: _returns_of_tiles(job))
     job.work.finish_step(IMAGING, written)
 
 
+def _returns_of_tiles(job: Job) -> Iterator[Returns]:
+    for tile in range(len(job.store.layout)):
+        yield Returns(*job.work.load("spread", tile, *RETURNS))
+
+
 def scan_views(job: Job) -> Views | None:
-    """Return what the scans saw, once their range images are drawn; None where none are known."""
+    """Return what the scans saw, once their returns are gathered; None where none are known."""
     if job.viewpoints is None:
         return None
-
-    def images_of(rows: NDArray[np.intp]) -> Images:
-        images = open_rows(job.rows_path("images"), np.uint16).reshape(-1, PIXELS)
-        return np.asarray(images[rows])
-
-    return Views(job.viewpoints.places, images_of)
+    return Views(job.viewpoints.places, kept_returns(job.root).images)
 
 
 def _model(job: Job) -> EvidenceModel:

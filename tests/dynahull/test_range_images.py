@@ -17,10 +17,10 @@ from dynahull.evidence.range_images import (
     MET,
     NOTHING,
     PIXELS,
+    RETURN_BYTES,
     THROUGH,
     Returns,
     Views,
-    draw_images,
 )
 from dynahull.evidence.viewpoints import Viewpoints, count_coordinates
 from dynahull.evidence.voxels import cells_of
@@ -29,7 +29,7 @@ FACES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 
 
 def views_of(xyz, scan, sensor):
-    return Views(sensor, lambda rows: draw_images([(xyz, scan)], sensor, rows))
+    return Views(sensor, Returns.of(xyz, scan, sensor).images)
 
 
 def pixel_of(direction):
@@ -85,31 +85,44 @@ def test_counts_are_those_of_the_plain_version(seed):
     assert found.tolist() == plain
 
 
+def drawn(xyz, scan, sensor):
+    """Draw the range images of all scans, as plainly as can be."""
+    images = np.full((len(sensor), 6, FACE, FACE), NOTHING, np.uint16)
+    for point, number in zip(xyz, scan, strict=True):
+        distance = np.linalg.norm(point - sensor[number])
+        if number >= 0 and distance >= 0.3:
+            pixel = number, *pixel_of(point - sensor[number])
+            images[pixel] = min(images[pixel], int(distance * 100))
+    return images.reshape(-1, PIXELS)
+
+
 @settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), parts=st.integers(1, 7))
 def test_images_are_those_of_parts_in_any_order_and_counts_those_of_any_cells(seed, parts):
     xyz, scan, sensor = recorded(seed)
-    whole = draw_images([(xyz, scan)], sensor, np.arange(len(sensor)))
+    returns = Returns.of(xyz, scan, sensor)
+    whole = returns.images(np.arange(len(sensor)))
+    assert (whole == drawn(xyz, scan, sensor)).all()
     order = np.random.default_rng(seed).permutation(len(xyz))
-    pieces = [(xyz[own], scan[own]) for own in np.array_split(order, parts)]
-    assert (draw_images(pieces, sensor, np.array([3, 1])) == whole[[3, 1]]).all()
-    images = np.full_like(whole, NOTHING)
-    for piece in pieces:
-        Returns.of(*piece, sensor).put_into(images)
-    assert (images == whole).all()
+    pieces = [Returns.of(xyz[own], scan[own], sensor) for own in np.array_split(order, parts)]
+    joined = Returns.joined(pieces)
+    assert (joined.images(np.array([3, 1])) == whole[[3, 1]]).all()
+    assert (joined.images(np.arange(len(sensor))) == whole).all()
     cells = cells_of(xyz, 0.2)
-    views = Views(sensor, lambda rows: whole[rows])
-    counts = views.count(cells, 0.2, threads=2)
+    counts = Views(sensor, joined.images).count(cells, 0.2, threads=2)
+    views = Views(sensor, returns.images)
+    assert (counts == views.count(cells, 0.2)).all()
     assert (counts[::3] == views.count(cells[::3], 0.2)).all()
 
 
-def test_nearest_returns_are_kept_small():
+def test_returns_are_kept_small():
     xyz, scan, sensor = recorded(0)
     returns = Returns.of(np.repeat(xyz, 9, axis=0), np.repeat(scan, 9), sensor)
-    assert len(returns.pixel) <= (scan >= 0).sum()
-    assert (np.diff(returns.pixel) > 0).all()
-    assert set(np.unique(returns.pixel // PIXELS)) <= set(scan[scan >= 0].tolist())
-    assert not len(Returns.of(xyz, np.full(len(xyz), -1, np.int32), sensor).pixel)
+    assert returns.returns.itemsize == RETURN_BYTES
+    assert returns.counts.sum() == len(returns.returns) <= (scan >= 0).sum()
+    images = returns.images(np.arange(len(sensor)))
+    assert returns.counts.tolist() == (images != NOTHING).sum(axis=1).tolist()
+    assert not len(Returns.of(xyz, np.full(len(xyz), -1, np.int32), sensor).returns)
 
 
 def room_with_a_visitor(scans=12):
