@@ -49,8 +49,8 @@ RETURN_BYTES = 4
 """Of one return."""
 
 HELD_BYTES = _SCANS_AT_A_TIME * PIXELS * (RETURN_BYTES + 2 * 2)
-"""Of the scans that are in memory while it is counted what they saw, at most: of each its returns,
-its image, and the nearest returns around."""
+"""Of the scans that are in memory while it is counted what they saw: of each its image, the nearest
+returns around, and at most as many returns as it has pixels, unless tiles share many of them."""
 
 _Rows = npt.NDArray[np.intp]
 

@@ -137,8 +137,9 @@ def flip(path):
     path.write_bytes(content)
 
 
+@pytest.mark.parametrize("name", ["images.rows", "images.arrays"])
 @pytest.mark.parametrize("damage", [flip, lambda path: os.truncate(path, 9), os.unlink])
-def test_range_images_that_were_damaged_are_drawn_again(tmp_path, monkeypatch, damage):
+def test_returns_that_were_damaged_are_gathered_again(tmp_path, monkeypatch, damage, name):
     path = write_map(tmp_path / "map.npz", scan=SCAN)
     wanted = [f"input.poses={write_poses(tmp_path / 'poses.txt')}", "execution.cluster=none"]
     wanted += ["tiling.max_points=1000", "ground.method=none", "neighbours.k=8"]
@@ -158,7 +159,7 @@ def test_range_images_that_were_damaged_are_drawn_again(tmp_path, monkeypatch, d
 
     with pytest.raises(KeyboardInterrupt):
         labels(tmp_path / "killed", killed)
-    damage(tmp_path / "killed" / WORK_FOLDER / "images.rows")
+    damage(tmp_path / "killed" / WORK_FOLDER / name)
     expected = labels(tmp_path / "whole", weigh_tile)
     assert labels(tmp_path / "killed", weigh_tile) == expected
     assert json.loads((tmp_path / "killed/run.json").read_text())["warnings"]
