@@ -31,7 +31,7 @@ _NAMED = 3
 _COMPUTING = ("dynahull-pipeline", "numpy", "scikit-learn", "numba")
 """What other versions of might compute other bits."""
 
-_FORMAT = 3
+_FORMAT = 4
 """Of the files that tasks leave: work of another format is begun anew."""
 
 
