@@ -66,5 +66,5 @@ def test_no_task_maps_a_file_that_others_write_too():
         if re.search(r'"r\+b?"', path.read_text(encoding="utf-8"))
     ]
     # One process alone writes them: the coordinating one, `apply`, and the one that thins.
-    alone = ["apply.py", "labelling.py", "thinning.py", "weighing.py"]
+    alone = ["apply.py", "kept_returns.py", "labelling.py", "thinning.py"]
     assert sorted(mapped) == alone
