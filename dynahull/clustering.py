@@ -75,7 +75,7 @@ def sample_rows(
     if limit < 2**64:
         chosen = _ranked_below(limit, rows, parameters.seed)
     if len(chosen) < _FEWEST_SAMPLED < len(rows):
-        rank = _random_rank(rows, parameters.seed)
+        rank = random_rank(rows, parameters.seed)
         chosen = np.argpartition(rank, _FEWEST_SAMPLED - 1)[:_FEWEST_SAMPLED]
     elif len(chosen) < _FEWEST_SAMPLED:
         chosen = np.arange(len(rows))
@@ -130,13 +130,14 @@ def _assign(
 def _ranked_below(limit: int, rows: NDArray[np.int64], seed: int) -> NDArray[np.intp]:
     bound = np.uint64(limit)
     chosen = [
-        start + np.flatnonzero(_random_rank(rows[start : start + _RANKING_BATCH], seed) < bound)
+        start + np.flatnonzero(random_rank(rows[start : start + _RANKING_BATCH], seed) < bound)
         for start in range(0, len(rows), _RANKING_BATCH)
     ]
     return np.concatenate(chosen) if chosen else np.zeros(0, np.intp)
 
 
-def _random_rank(rows: NDArray[np.int64], seed: int) -> NDArray[np.uint64]:
+def random_rank(rows: NDArray[np.int64], seed: int) -> NDArray[np.uint64]:
+    """Return a pseudo-random number for each row number, (n,): no two rows have the same."""
     golden = np.uint64(0x9E3779B97F4A7C15)
     mixed = (rows.astype(np.uint64) + np.uint64(1)) * golden
     mixed ^= np.asarray(seed * int(golden) % 2**64, np.uint64)

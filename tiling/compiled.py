@@ -26,9 +26,5 @@ def compiled(function: Function) -> Function:
 
 
 def helper(function: Function) -> Function:
-    """Compile a function that compiled ones call for every point, byte or column.
-
-    It allocates nothing: so the references to the arrays handed to it need not be counted, which
-    would take several times as long as what it does. `_nrt` is an option of Numba's own (0.68).
-    """
-    return cast(Function, numba.njit(nogil=True, _nrt=False)(function))
+    """Compile a function into the compiled ones that call it for every point, byte or column."""
+    return cast(Function, numba.njit(nogil=True, forceinline=True)(function))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from dynahull.clustering import random_rank
 from dynahull.observer import Observer
 from pipeline.configuration.quantities import in_units
 from pipeline.errors import EvaluationError, PlanError
@@ -31,9 +32,6 @@ _AT_A_TIME = 100_000
 
 _BYTES_A_PAIR = 42
 """Of two points, one of each sample; measured with POT 0.9.6 at 4,000 and 8,000 points."""
-
-_RUN_BITS = 8
-"""Of a row number; so a sampled point brings at most 256 others into memory."""
 
 _MOST_STEPS = 10_000_000
 """Steps of the network simplex: POT's own limit, 100,000, is reached by some thousand points."""
@@ -254,41 +252,15 @@ def transport_cost(
 def draw_sample(cloud: TiledCloud, size: int, seed: int, stream: int) -> NDArray[np.float64]:
     """Draw points at random, uniformly, without replacement; all where there are not more.
 
-    Samples of one seed and several streams are independent of each other. They are (min(n, size),
-    3), in the order of their rows, whatever the tiles: drawn as from an array of the points.
+    Row numbers decide, see `dynahull.clustering.random_rank`: those of the lowest ranks are drawn.
+    Samples of one seed and several streams, up to 4, are independent of each other. They are
+    (min(n, size), 3), in the order of their rows, whatever the tiles.
     """
-    count = len(cloud)
-    if size == 0:
-        return np.empty((0, 3))
-    if count <= size:
-        return _points_at(cloud, np.arange(count))
-    random = np.random.default_rng([seed, stream])
-    return _points_at(cloud, np.sort(random.choice(count, size, replace=False, shuffle=False)))
-
-
-def _points_at(cloud: TiledCloud, places: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the points at ascending places in the order of the rows.
-
-    They are found by counting how many points are in each run of a few hundred rows, and then by
-    reading what is in the runs that are hit.
-    """
-    counts = np.zeros(0, np.int64)
+    rows, xyz = np.empty(0, np.int64), np.empty((0, 3))
     for tile in cloud.tiles():
-        found = np.bincount(cloud.rows(tile) >> _RUN_BITS, minlength=len(counts))
-        found[: len(counts)] += counts
-        counts = found
-    ends = np.cumsum(counts)
-    hit = np.zeros(len(counts), np.bool_)
-    hit[np.searchsorted(ends, places, side="right")] = True
-    rows, xyz = [], []
-    for tile in cloud.tiles():
-        of_tile = cloud.rows(tile)
-        chosen = hit[of_tile >> _RUN_BITS]
-        rows.append(of_tile[chosen])
-        xyz.append(cloud.xyz(tile)[chosen])
-    order = np.argsort(np.concatenate(rows))
-    # Runs are here as a whole, so the places of their points follow from where they begin.
-    held = counts * hit
-    begins = np.repeat(ends - counts - (np.cumsum(held) - held), held)
-    points: NDArray[np.float64] = np.concatenate(xyz)[order]
-    return points[np.searchsorted(begins + np.arange(len(order)), places)]
+        rows = np.concatenate([rows, cloud.rows(tile)])
+        xyz = np.concatenate([xyz, cloud.xyz(tile)])
+        if len(rows) > size:
+            drawn = np.argpartition(random_rank(rows, 4 * seed + stream), size)[:size]
+            rows, xyz = rows[drawn], xyz[drawn]
+    return np.asarray(xyz[np.argsort(rows)])
