@@ -286,7 +286,8 @@ def _judged(
     if given.sensor is not None:
         viewpoints = Viewpoints.of_poses(given.sensor)
     elif scans is not None:
-        viewpoints = Viewpoints.of_counts([count_coordinates(points, scans, 0)])
+        counts = count_coordinates(points, scans, 0)
+        viewpoints = Viewpoints.of_counts(lambda: [counts])
     spread = _scattered(
         np.full((len(points), SPREAD_COLUMNS), np.nan, np.float32), membership, spreads
     )

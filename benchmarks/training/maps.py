@@ -173,7 +173,8 @@ class _Scans:
 
     def both_views(self) -> list[Views]:
         """Return what is seen from the middles of scans, and from where the sensor was."""
-        middles = Viewpoints.of_counts([count_coordinates(self.xyz, self.scan, 0)])
+        counts = count_coordinates(self.xyz, self.scan, 0)
+        middles = Viewpoints.of_counts(lambda: [counts])
         return [self.views(middles), self.views(Viewpoints.of_poses(self.places))]
 
 

@@ -5,7 +5,7 @@ place than the sensor's: what lies behind a place, and was seen, shows that noth
 metre above the median of a scan's points is near the sensor, for sensors that look all around.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Self
 
@@ -26,6 +26,8 @@ _EVERY = 7
 
 MOST_VIEWPOINTS = 20_000
 """Of longer recordings, scans on end share one."""
+
+_SCANS_AT_A_TIME = 2_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,25 +54,42 @@ class Viewpoints:
         return cls(np.arange(len(sensor), dtype=np.int32), sensor, are_told=True)
 
     @classmethod
-    def of_counts(cls, parts: Sequence[Voxels]) -> Self:
-        """Find the medians of all scans from what `count_coordinates` says of parts of a map."""
-        counts = Voxels.merged(parts)
-        order = np.lexsort(counts.cells.T[::-1])
-        cells, total = counts.cells[order], np.cumsum(counts.sums[order, 0])
-        # Three groups a scan: its coordinates along each axis.
-        firsts = np.flatnonzero((np.diff(cells[:, :2], axis=0, prepend=-1) != 0).any(axis=1))
-        before = np.concatenate([[0], total])[firsts]
-        after = np.concatenate([before[1:], total[-1:]])
-        middles = np.searchsorted(total, before + (after - before + 1) // 2)
-        places = ((cells[middles, 2] + 0.5) * _STEP).reshape(-1, 3) + _ABOVE
-        numbers = cells[firsts[::3], 0]
-        shared = -(-len(numbers) // MOST_VIEWPOINTS) or 1
-        return cls(numbers[::shared], places[::shared])
+    def of_counts(cls, parts: Callable[[], Iterable[Voxels]]) -> Self:
+        """Find the medians of scans by what `count_coordinates` says of parts of a map.
+
+        Some scans are looked at together, so that memory is bounded.
+
+        Parameters
+        ----------
+        parts : callable
+            Returns what the parts say, one after the other; it is asked several times.
+        """
+        scans = np.zeros(0, np.int32)
+        for part in parts():
+            scans = np.union1d(scans, part.cells[:, 0])
+        numbers = scans[:: -(-len(scans) // MOST_VIEWPOINTS) or 1]
+        places = np.empty((len(numbers), 3))
+        for begin in range(0, len(numbers), _SCANS_AT_A_TIME):
+            some = slice(begin, begin + _SCANS_AT_A_TIME)
+            own = [part.select(np.isin(part.cells[:, 0], numbers[some])) for part in parts()]
+            places[some] = _medians(Voxels.merged(own)) + _ABOVE
+        return cls(numbers, places)
 
     def rows(self, scan: Scans) -> Scans:
         """Return the viewpoint of each point, (n,), by the number of its scan; -1 where none is."""
         rows = np.searchsorted(self.numbers, scan, side="right") - 1
         return np.where(scan >= 0, rows, -1).astype(np.int32)
+
+
+def _medians(counts: Voxels) -> Floats:
+    """Return the median of each scan along each axis, (S, 3), in the order of their numbers."""
+    cells, total = counts.cells, np.cumsum(counts.sums[:, 0])
+    # Three groups a scan: its coordinates along each axis.
+    firsts = np.flatnonzero((np.diff(cells[:, :2], axis=0, prepend=-1) != 0).any(axis=1))
+    before = np.concatenate([[0], total])[firsts]
+    after = np.concatenate([before[1:], total[-1:]])
+    middles = np.searchsorted(total, before + (after - before + 1) // 2)
+    return np.asarray(((cells[middles, 2] + 0.5) * _STEP).reshape(-1, 3))
 
 
 def count_coordinates(xyz: Floats, scan: Scans, first_row: int) -> Voxels:

@@ -254,10 +254,12 @@ def _whole_survey(
 
 def _keep_viewpoints(job: Job) -> None:
     """Find from where scans are looked at by what all ranges of rows say of them."""
-    parts = []
-    for number in range(len(job.row_ranges)):
-        (found,) = summaries(job, "survey", number, COORDINATES)
-        parts.append(Voxels(found.cells, found.values.astype(np.int64)))
+
+    def parts() -> Iterator[Voxels]:
+        for number in range(len(job.row_ranges)):
+            (found,) = summaries(job, "survey", number, COORDINATES)
+            yield Voxels(found.cells, found.values.astype(np.int64))
+
     viewpoints = Viewpoints.of_counts(parts)
     with atomic_file(job.root / VIEWPOINTS_FILE) as temporary:
         write_arrays(temporary, {"numbers": viewpoints.numbers, "places": viewpoints.places})

@@ -207,7 +207,7 @@ def test_likely_points_are_judged_by_other_trees_and_stay_likely():
 @settings(deadline=None, max_examples=25)
 def test_stages_give_the_odds_of_their_forests(seed, doubtful, limit):
     stored = stored_model()["first"] | {"doubtful": doubtful, "quick": 15}
-    likely = stored["likely"] | {"above": limit}
+    likely = stored["likely"] | {"above": limit, "trees": stored["likely"]["trees"][::10]}
     stored["trees"] = stored["trees"][::5]
     terms = np.random.default_rng(seed).normal(size=(200, len(TERMS))).astype(np.float32)
     quick = Forest.of(stored | {"trees": stored["trees"][: stored["quick"]]}).log_odds(terms)

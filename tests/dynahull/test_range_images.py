@@ -178,8 +178,10 @@ def test_viewpoints_are_medians_and_those_of_parts_together(seed, parts, most):
     ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(viewpoints, "MOST_VIEWPOINTS", most)
-        found = Viewpoints.of_counts(counts[::-1])
-        whole = Viewpoints.of_counts([count_coordinates(xyz, scan, 0)])
+        counts_of_all = count_coordinates(xyz, scan, 0)
+        whole = Viewpoints.of_counts(lambda: [counts_of_all])
+        patch.setattr(viewpoints, "_SCANS_AT_A_TIME", 2)
+        found = Viewpoints.of_counts(lambda: counts[::-1])
     assert found.places.tobytes() == whole.places.tobytes()
     assert len(found.numbers) <= most
     looked_at = np.arange(count) % 7 == 0
