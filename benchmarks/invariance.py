@@ -23,6 +23,9 @@ CUTS: dict[str, list[list[str]]] = {
         ["tiling.max_points=2000", "tiling.halo=0.1", "execution.cluster=none"],
         ["tiling.max_points=20000", "tiling.halo=30"],
     ],
+    "room_static_sensor.laz": [
+        ["tiling.max_points=36000", "tiling.halo=0.05"],
+    ],
     "campus_loop.laz": [
         [],
         ["tiling.format=las"],

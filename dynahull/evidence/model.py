@@ -314,9 +314,12 @@ def judge_points(
         of_others = Returns.of(unscored, viewpoints.rows(unscored_scan), sensor)
         views = Views(sensor, Returns.joined([of_points, of_others]).images)
     model = evidence_model(model_file(viewpoints))
-    voxels = Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)])
-    surroundings = Surroundings.of(voxels, views, threads)
-    del voxels
+    # Nothing else holds the voxels: they are most of what a map takes here, and go when they can.
+    surroundings = Surroundings.of(
+        Voxels.merged([summarise_points(points), summarise_ground(unscored, unscored_scan)]),
+        views,
+        threads,
+    )
     found = model.first_round(points, k, surroundings, threads)
     del surroundings
     odds = summarise_odds(points.xyz, found.log_odds)

@@ -34,6 +34,7 @@ THINNEST = 1e-4
 """Metres; what is thinner is told from nothing."""
 
 _DENSEST = 2.0**30
+_POINTS_AT_A_TIME = 250_000
 
 
 class TimedVoxels(Voxels):
@@ -92,6 +93,13 @@ class ScoredPoints:
 
 def summarise_points(points: ScoredPoints) -> Voxels:
     """Sum up scored points in the finest voxels, (V, COLUMNS), and mark their scans."""
+    begins = range(0, max(len(points), 1), _POINTS_AT_A_TIME)
+    return Voxels.merged(
+        [_summarised(points.part(slice(begin, begin + _POINTS_AT_A_TIME))) for begin in begins]
+    )
+
+
+def _summarised(points: ScoredPoints) -> Voxels:
     values = np.empty((len(points), COLUMNS), np.int64)
     values[:, GROUND] = 0
     values[:, SCORED] = 1

@@ -47,15 +47,18 @@ class Voxels(Summary):
             In any order; a cell may come many times.
         values : (n, C) int64 array
         """
-        cells, numbers = unique_cells(cells)
-        return cls(cells, added(values, numbers, len(cells), cls.marks))
+        return cls.merged([cls(cells, values)])
 
     @classmethod
     def merged(cls, parts: Sequence[Self]) -> Self:
-        """Add up the voxels of parts of a map."""
-        kind = type(parts[0])
-        together = kind.joined(parts)
-        return kind.of(together.cells, together.sums)
+        """Add up the voxels of parts of a map, at least one; a cell may come many times."""
+        kind, columns = type(parts[0]), parts[0].sums.shape[1]
+        cells, numbers = unique_cells(np.concatenate([part.cells for part in parts]))
+        sums, first = np.zeros((len(cells), columns), np.int64), 0
+        for part in parts:
+            add_to(sums, part.sums, numbers[first : first + len(part)], kind.marks)
+            first += len(part)
+        return kind(cells, sums)
 
     @cached_property
     def table(self) -> npt.NDArray[np.int32]:
@@ -137,17 +140,22 @@ def _numbered(cells: Cells, order: npt.NDArray[np.intp]) -> tuple[Integers, npt.
     return firsts[:count].copy(), numbers
 
 
-@compiled
 def added(values: Integers, numbers: npt.NDArray[np.int32], count: int, marks: int) -> Integers:
     """Add up rows of values by number, and unite the bits of the last columns, (count, C)."""
     sums = np.zeros((count, values.shape[1]), np.int64)
+    add_to(sums, values, numbers, marks)
+    return sums
+
+
+@compiled
+def add_to(sums: Integers, values: Integers, numbers: npt.NDArray[np.int32], marks: int) -> None:
+    """Add rows of values to the sums of their numbers; see `added`."""
     added = values.shape[1] - marks
     for i in range(len(values)):
         for column in range(added):
             sums[numbers[i], column] += values[i, column]
         for column in range(added, values.shape[1]):
             sums[numbers[i], column] |= values[i, column]
-    return sums
 
 
 @inlined

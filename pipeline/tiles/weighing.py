@@ -58,9 +58,10 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     everywhere = Region(np.full(2, -np.inf), np.full(2, np.inf))
     for box in divided(everywhere, xyz, sides):
         own = box.holds(xyz)
-        voxels = about_middles(_around(job, tile, box, "spread", VOXELS, kind), -1)
-        surroundings = Surroundings.of(voxels, scan_views(job))
-        del voxels
+        # Nothing else holds the voxels: they are most of what a tile takes, and go when they can.
+        surroundings = Surroundings.of(
+            about_middles(_around(job, tile, box, "spread", VOXELS, kind), -1), scan_views(job)
+        )
         found.put(own, model.first_round(points.part(own), k, surroundings))
     odds = summarise_odds(xyz, found.log_odds)
     first = (found.log_odds, found.reason, model.second.ranks(found.kept))
