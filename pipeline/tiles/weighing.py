@@ -52,23 +52,31 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
     (spread,) = job.work.load("spread", tile, "spread")
     _, density = scores_of(job, tile)
     points = ScoredPoints(xyz, density, spread, heights_of(job, tile, xyz))
-    model, k = _model(job), job.configuration.neighbours.k
-    found = FirstRound.nothing(len(points), len(model.asked.kept))
-    kind = Voxels if job.scan_source is None else TimedVoxels
     everywhere = Region(np.full(2, -np.inf), np.full(2, np.inf))
-    for box in divided(everywhere, xyz, sides):
-        own = box.holds(xyz)
-        # Nothing else holds the voxels: they are most of what a tile takes, and go when they can.
-        surroundings = Surroundings.of(
-            about_middles(_around(job, tile, box, "spread", VOXELS, kind), -1), scan_views(job)
-        )
-        found.put(own, model.first_round(points.part(own), k, surroundings))
+    if sides == 1:
+        found = _first_round(job, tile, everywhere, points)
+    else:
+        found = FirstRound.nothing(len(points), len(_model(job).asked.kept))
+        for box in divided(everywhere, xyz, sides):
+            own = box.holds(xyz)
+            found.put(own, _first_round(job, tile, box, points.part(own)))
+    del points
     odds = summarise_odds(xyz, found.log_odds)
-    first = (found.log_odds, found.reason, model.second.ranks(found.kept))
+    first = (found.log_odds, found.reason, _model(job).second.ranks(found.kept))
     kept: dict[str, NDArray[Any]] = dict(zip(_FIRST, first, strict=True))
     job.work.save("evidence", tile, **kept, **odds.to_arrays(_ODDS))
-    counts = (wide_neighbourhoods(spread), len(points))
+    counts = (wide_neighbourhoods(spread), len(xyz))
     return TaskReport(int(job.store.layout.counts[tile]), counts)
+
+
+def _first_round(job: Job, tile: int, box: Region, points: ScoredPoints) -> FirstRound:
+    """Judge the points of a tile in a box by their own terms."""
+    kind = Voxels if job.scan_source is None else TimedVoxels
+    # Nothing else holds the voxels: they are most of what a tile takes, and go when they can.
+    surroundings = Surroundings.of(
+        about_middles(_around(job, tile, box, "spread", VOXELS, kind), -1), scan_views(job)
+    )
+    return _model(job).first_round(points, job.configuration.neighbours.k, surroundings)
 
 
 def judge_tile(job: Job, tile: int) -> Judged:
