@@ -60,7 +60,6 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
         for box in divided(everywhere, xyz, sides):
             own = box.holds(xyz)
             found.put(own, _first_round(job, tile, box, points.part(own)))
-    del points
     odds = summarise_odds(xyz, found.log_odds)
     first = (found.log_odds, found.reason, _model(job).second.ranks(found.kept))
     kept: dict[str, NDArray[Any]] = dict(zip(_FIRST, first, strict=True))
