@@ -24,7 +24,7 @@ CUTS: dict[str, list[list[str]]] = {
         ["tiling.max_points=20000", "tiling.halo=30"],
     ],
     "room_static_sensor.laz": [
-        ["tiling.max_points=36000", "tiling.halo=0.05"],
+        ["tiling.max_points=25000", "tiling.halo=0.05"],
     ],
     "campus_loop.laz": [
         [],
