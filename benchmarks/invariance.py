@@ -27,14 +27,11 @@ CUTS: dict[str, list[list[str]]] = {
         ["tiling.max_points=25000", "tiling.halo=0.05"],
     ],
     "campus_loop.laz": [
-        [],
-        ["tiling.format=las"],
-        ["tiling.max_points=2500000"],
+        ["tiling.max_points=2500000", "tiling.format=las"],
         ["tiling.max_points=550000", "execution.workers=1"],
         ["tiling.max_points=50000", "tiling.halo=1"],
     ],
     "street_64beam_labelled.laz": [
-        [],
         ["tiling.max_points=8000000"],
         ["tiling.max_points=80000", "tiling.format=las"],
     ],

@@ -143,7 +143,7 @@ class Forest:
         last : (n, C) float32 array
             Values of the last C terms.
         """
-        ranks = np.empty(last.shape, np.uint16)
+        ranks = np.empty(last.shape, np.uint16, order="F")
         for limits, values, found in zip(self._limits(last.shape[1]), last.T, ranks.T, strict=True):
             found[:] = np.where(np.isnan(values), len(limits) + 1, np.searchsorted(limits, values))
         return ranks

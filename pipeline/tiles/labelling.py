@@ -66,14 +66,14 @@ def label_tile(job: Job, tile: int) -> TaskReport:
 
     The report counts the points of each label, then those removed from each cluster.
     """
+    removal = job.configuration.removal
+    judged = judge_tile(job, tile) if removal.weighs_evidence else None
+    score = None if judged is None else judged.score
     chunk, labels = labelled_points(job, tile)
     labels, core_rows = labels[chunk.core], chunk.rows[chunk.core]
     core_xyz = chunk.xyz[chunk.core]
     cluster_of, density = scores_of(job, tile)
     counts, cuts = _cuts_of(job, tile)
-    removal = job.configuration.removal
-    judged = judge_tile(job, tile) if removal.weighs_evidence else None
-    score = None if judged is None else judged.score
     removed = []
     place = np.flatnonzero(labels == Label.STATIC)  # scored are those that were not set aside
     safe = protected_rows(job, core_rows[place])

@@ -62,9 +62,10 @@ def weigh_tile(job: Job, tile: int, sides: int = 1) -> TaskReport:
             found.put(own, _first_round(job, tile, box, points.part(own)))
     odds = summarise_odds(xyz, found.log_odds)
     first = (found.log_odds, found.reason, _model(job).second.ranks(found.kept))
+    counts = (wide_neighbourhoods(spread), len(xyz))
+    del points, xyz, density, spread, found  # to compress the rest takes memory
     kept: dict[str, NDArray[Any]] = dict(zip(_FIRST, first, strict=True))
     job.work.save("evidence", tile, **kept, **odds.to_arrays(_ODDS))
-    counts = (wide_neighbourhoods(spread), len(xyz))
     return TaskReport(int(job.store.layout.counts[tile]), counts)
 
 
@@ -85,6 +86,7 @@ def judge_tile(job: Job, tile: int) -> Judged:
     model = _model(job)
     log_odds, reason, ranks = job.work.load("evidence", tile, *_FIRST)
     found = FirstRound(log_odds, model.second.of_ranks(ranks), reason)
+    del ranks  # twice as many bytes are left of them
     layout = job.store.layout
     core = Region(layout.low[tile], layout.high[tile])
     odds = _around(job, tile, core, "evidence", _ODDS, Voxels)

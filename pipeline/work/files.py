@@ -83,10 +83,10 @@ def write_arrays(
 
     What is to be mapped is not compressed. The others are kept by columns: tables compress best so.
     """
-    contents = {name: _compressed(array.tobytes("F")) for name, array in arrays.items()}
-    contents |= {name: array.tobytes() for name, array in to_map.items()}
+    contents = {name: _compressed(np.ascontiguousarray(array.T)) for name, array in arrays.items()}
+    contents |= {name: np.ascontiguousarray(array).data for name, array in to_map.items()}
     with path.open("wb") as stream:
-        sizes = {name: len(content) for name, content in contents.items()}
+        sizes = {name: content.nbytes for name, content in contents.items()}
         stream.write(json.dumps(sizes).encode() + b"\n")
         for name, array in {**arrays, **to_map}.items():
             stream.seek(_padded(stream.tell()))
@@ -95,9 +95,10 @@ def write_arrays(
             stream.write(contents.pop(name))
 
 
-def _compressed(content: bytes) -> bytes:
-    fewer: bytes = _CODEC.compress(content, asbytes=True)
-    return fewer if len(fewer) < len(content) else content
+def _compressed(array: NDArray[Any]) -> memoryview:
+    """Return the bytes of an array in the order of C, compressed where that makes them fewer."""
+    fewer = memoryview(_CODEC.compress(array))
+    return fewer if fewer.nbytes < array.nbytes else array.data
 
 
 def read_arrays(path: Path, *names: str) -> list[NDArray[Any]]:
@@ -181,9 +182,9 @@ def _read(path: Path, stream: BinaryIO, place: _Place) -> NDArray[Any]:
     if place.is_compressed:
         try:
             content = _CODEC.decompress(stream.read(place.size), place.full_size)
+            values = np.frombuffer(content, place.kind)
         except (OSError, ValueError, OverflowError):
             raise _damaged(path) from None
-        values = np.frombuffer(bytearray(content), place.kind)
     else:
         values = np.fromfile(stream, place.kind, math.prod(place.shape))
     return np.asarray(values.reshape(place.shape, order=place.order), order="C")
