@@ -1,7 +1,7 @@
 """What is summed over the voxels of a map, and all that is ever read of points around a point."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,9 @@ from dynahull.compilation import compiled
 from dynahull.evidence.shapes import MOMENTS, moments_of, moved_moments
 from dynahull.evidence.visits import SPANS, Scans, marks_of
 from dynahull.evidence.voxels import Cells, Floats, Integers, Voxels, cells_of
+from dynahull.summary import Summary
+
+AnySummary = TypeVar("AnySummary", bound=Summary)
 
 FINEST = 0.1
 """Side of the finest voxels, metres; each level above has twice the side."""
@@ -163,7 +166,7 @@ def in_steps(logarithms: Floats) -> Integers:
     return np.rint(logarithms * OCTAVE).astype(np.int64)
 
 
-def around(voxels: Voxels, low: Floats, high: Floats) -> Voxels:
+def around(voxels: AnySummary, low: Floats, high: Floats) -> AnySummary:
     """Return the voxels that decide about points in a box.
 
     Parameters

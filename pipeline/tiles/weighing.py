@@ -125,6 +125,6 @@ def _around(job: Job, tile: int, box: Region, stage: str, name: str, kind: type[
     parts = []
     for near in layout.near(low - REACH, high + REACH).tolist():
         (kept,) = summaries(job, stage, near, name)
-        voxels = kind(kept.cells.astype(np.int32), kept.values.astype(np.int64))
-        parts.append(around(voxels, low, high))
+        few = around(kept, low, high)
+        parts.append(kind(few.cells.astype(np.int32), few.values.astype(np.int64)))
     return Voxels.merged(parts)
