@@ -73,7 +73,7 @@ def sample_rows(
     limit = 2**64 * parameters.sample // max(total, 1)
     chosen = np.arange(len(rows))
     if limit < 2**64:
-        chosen = _ranked_below(limit, rows, parameters.seed)
+        chosen = ranked_below(limit, rows, parameters.seed)
     if len(chosen) < _FEWEST_SAMPLED < len(rows):
         rank = random_rank(rows, parameters.seed)
         chosen = np.argpartition(rank, _FEWEST_SAMPLED - 1)[:_FEWEST_SAMPLED]
@@ -127,7 +127,8 @@ def _assign(
             np.minimum(distance, least, out=least)
 
 
-def _ranked_below(limit: int, rows: NDArray[np.int64], seed: int) -> NDArray[np.intp]:
+def ranked_below(limit: int, rows: NDArray[np.int64], seed: int) -> NDArray[np.intp]:
+    """Return which of the row numbers have a rank below a limit of at most 2**64, ascending."""
     bound = np.uint64(limit)
     chosen = [
         start + np.flatnonzero(random_rank(rows[start : start + _RANKING_BATCH], seed) < bound)

@@ -1,16 +1,17 @@
 """The points that a report shows: a sample that row numbers decide.
 
-It is the same however a map is cut, and of the same size however large the map is.
+It is the same however a map is cut, and no larger however large the map is.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynahull.clustering import ranked_below
 from dynahull.evidence.range_images import MET, THROUGH, Views
 from dynahull.evidence.summaries import FINEST
 from dynahull.evidence.voxels import cells_of, unique_cells
@@ -101,26 +102,24 @@ _COLUMNS = ("rows", "xyz", "labels", "cluster", "density", "score")
 
 
 def sampled_rows(total: int) -> NDArray[np.int64]:
-    """Return the row numbers of the sample of a map of `total` points, ascending.
-
-    The rows are divided into `MOST_POINTS` runs of nearly equal length, and one row of each is
-    taken at random: evenly spread over the recording, yet blind to any period in it.
-    """
-    if total <= MOST_POINTS:
-        return np.arange(total)
-    return _one_of_each(total)
+    """Return the row numbers of the sample of a map of `total` points, ascending."""
+    return _sampled(np.arange(total), total)
 
 
 def is_sampled(rows: NDArray[np.int64], total: int) -> NDArray[np.bool_]:
     """Tell which row numbers of a map are in its sample."""
+    sampled = np.zeros(len(rows), np.bool_)
+    sampled[_sampled(rows, total)] = True
+    return sampled
+
+
+def _sampled(rows: NDArray[np.int64], total: int) -> NDArray[np.intp]:
+    """Return which of the rows are sampled: all of a small map, else those of the lowest ranks.
+
+    Ranks are blind to any period in the recording. How many lie below a limit varies by the root of
+    their number: five times that is left free, so that there are never more than `MOST_POINTS`.
+    """
     if total <= MOST_POINTS:
-        return np.ones(len(rows), np.bool_)
-    return np.asarray(_one_of_each(total)[rows * MOST_POINTS // total] == rows)
-
-
-@lru_cache(maxsize=1)
-def _one_of_each(total: int) -> NDArray[np.int64]:
-    begins = -(-np.arange(MOST_POINTS + 1) * total // MOST_POINTS)
-    # The raw stream of a bit generator is the same in all versions of NumPy.
-    drawn = np.random.PCG64(0).random_raw(MOST_POINTS) % np.diff(begins).astype(np.uint64)
-    return np.asarray(begins[:-1] + drawn.astype(np.int64))
+        return np.arange(len(rows))
+    wanted = MOST_POINTS - 5 * math.isqrt(MOST_POINTS)
+    return ranked_below(2**64 * wanted // total, rows, seed=0)

@@ -35,9 +35,6 @@ def room():
 @pytest.fixture
 def small_samples(monkeypatch):
     monkeypatch.setattr(sample_module, "MOST_POINTS", 2_000)
-    sample_module._one_of_each.cache_clear()
-    yield
-    sample_module._one_of_each.cache_clear()
 
 
 @pytest.mark.parametrize("threshold", ["rank", "stepped"])
@@ -64,7 +61,7 @@ def test_other_settings_take_what_a_run_with_them_takes(room, other):
 
 def test_a_sample_is_right_within_the_margin_it_states(room, small_samples):
     result, sample, clusters, section = cleaned(room, {"min_percent": 5, "max_percent": 20})
-    assert len(sample) == 2_000
+    assert 1_500 < len(sample) <= 2_000
     percentages = removal_percentages(sample, clusters, section)
     assert 0 < percentages.margin < 5
     shown = np.count_nonzero(percentages.removed_from <= percentages.own) / len(sample)

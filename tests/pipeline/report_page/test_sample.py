@@ -24,20 +24,17 @@ def whole_map(count: int) -> MapSample:
 @given(st.integers(0, 5_000_000))
 def test_the_sample_is_of_distinct_rows_of_the_map_and_never_too_large(total):
     rows = sampled_rows(total)
-    assert len(rows) == min(total, sample_module.MOST_POINTS)
+    most = sample_module.MOST_POINTS
+    assert min(total, 0.98 * most) <= len(rows) <= most
     assert (np.diff(rows) > 0).all()
     assert not len(rows) or (rows[0] >= 0 and rows[-1] < total)
 
 
 @settings(deadline=None, max_examples=25)
-@given(st.integers(1, 10**12), st.integers(0, 2**32))
+@given(st.integers(1, 10**7), st.integers(0, 2**32))
 def test_parts_of_a_map_know_which_of_their_rows_are_sampled(total, seed):
     rows = np.random.default_rng(seed).integers(0, total, 1_000)
-    sampled = sampled_rows(total) if total <= 10**7 else None
-    found = is_sampled(rows, total)
-    if sampled is not None:
-        assert (found == np.isin(rows, sampled)).all()
-    assert is_sampled(sampled_rows(total)[:1_000] if total > 10**7 else sampled, total).all()
+    assert (is_sampled(rows, total) == np.isin(rows, sampled_rows(total))).all()
 
 
 def test_a_period_in_the_recording_is_not_mistaken_for_the_map():
@@ -48,7 +45,6 @@ def test_a_period_in_the_recording_is_not_mistaken_for_the_map():
 
 def test_the_sample_of_all_parts_is_the_sample_of_the_map(monkeypatch):
     monkeypatch.setattr(sample_module, "MOST_POINTS", 500)
-    sample_module._one_of_each.cache_clear()
     whole = whole_map(10_000)
     parts = np.random.default_rng(1).integers(0, 4, len(whole))
     names = ("rows", "xyz", "labels", "cluster", "density", "score")
@@ -57,8 +53,7 @@ def test_the_sample_of_all_parts_is_the_sample_of_the_map(monkeypatch):
         for part in (2, 0, 3, 1)
     ]
     together = MapSample.of_parts(10_000, cut)
-    sample_module._one_of_each.cache_clear()
-    assert len(together) == 500
+    assert 300 < len(together) <= 500
     for name in names:
         np.testing.assert_array_equal(getattr(together, name), getattr(whole, name))
 
